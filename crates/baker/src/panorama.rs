@@ -1,0 +1,1 @@
+//! Lat-long panoramas and how radiance is read from them.

@@ -1,0 +1,2 @@
+//! gdibl
+fn main() {}

@@ -1,0 +1,1 @@
+//! Reads `.gdibl` files and reconstructs light from them.

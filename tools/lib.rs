@@ -1,0 +1,1 @@
+//! What the tools share: reading reference data and printing tables.

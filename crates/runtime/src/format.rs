@@ -1,0 +1,579 @@
+//! The bytes of a `.gdibl` file, version 1: header, section table, where sections lie. `FORMAT.md` tells the same in
+//! prose, section by section.
+//!
+//! ```text
+//! 0    header, 96 bytes: magic, version, kind, counts, bands, encoding, scale, units, section count, box
+//! 96   section table, 40 bytes each
+//!      crc32 of everything so far, 4 bytes
+//!      sections in table order, each from the next multiple of 8; zeros between; nothing after the last
+//! ```
+//! All numbers are little-endian. A writer fills [`SectionEntry`]s, lets [`place_sections`] set their offsets, writes
+//! [`directory_to_bytes`], then each section at its offset. A reader that wants to look at a file without building a
+//! [`Volume`](crate::Volume) takes [`parse_header_and_sections`].
+
+pub use crate::crc32::crc32;
+pub use crate::shuffle::{byte_shuffle, byte_unshuffle};
+
+use crate::sh::{MAX_BANDS, coefficient_count};
+use crate::{Error, Grid, codec};
+use alloc::borrow::Cow;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+
+/// The first eight bytes of every file: no text, no transfer that changes line ends, leaves them whole.
+pub const MAGIC: [u8; 8] = *b"\x89GDIBL\n\x1a";
+/// The version written and read.
+pub const VERSION: u32 = 1;
+/// Units 0: radiance, linear Rec.709.
+pub const UNITS_RADIANCE: u32 = 0;
+/// Bytes of the header.
+pub const HEADER_SIZE: usize = 96;
+/// Bytes of one entry of the section table.
+pub const ENTRY_SIZE: usize = 40;
+/// The most sections a file may have.
+pub const MAX_SECTIONS: usize = 64;
+/// Sections begin at multiples of this.
+pub const ALIGNMENT: u64 = 8;
+
+/// Radiance coefficients in planes, f16 or f32: element (coefficient * 3 + channel) * node_count + node.
+pub const RADIANCE: [u8; 4] = *b"RSH ";
+/// Validity, u8 per node: 1 baked, 0 filled from neighbours. Absent: all baked.
+pub const VALIDITY: [u8; 4] = *b"VALD";
+/// Coverage, f16 per node, 0..=1. Absent: everything was covered.
+pub const COVERAGE: [u8; 4] = *b"COVR";
+/// Relative standard error, f16 per node. Absent: not measured.
+pub const STANDARD_ERROR: [u8; 4] = *b"SERR";
+/// Positions, three f32 per node, relative to the header's min. Points and vertices only.
+pub const POSITIONS: [u8; 4] = *b"POSN";
+/// Unit normals, three f32 per node. Vertices only.
+pub const NORMALS: [u8; 4] = *b"NORM";
+/// Which vertices belong to which mesh: records of five u32. Vertices only; may be absent.
+pub const MESHES: [u8; 4] = *b"MESH";
+/// A record: the settings of the bake. The runtime skips it.
+pub const SETTINGS: [u8; 4] = *b"SETT";
+/// A record: the stages kept and left out. The runtime skips it.
+pub const PLAN: [u8; 4] = *b"PLAN";
+/// A record: the probes. The runtime skips it.
+pub const PROBES: [u8; 4] = *b"PROB";
+/// A record: statistics of the bake. The runtime skips it.
+pub const STATISTICS: [u8; 4] = *b"STAT";
+
+/// What the nodes are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Kind {
+    /// A regular grid.
+    Grid = 0,
+    /// Listed points.
+    Points = 1,
+    /// Mesh vertices, with normals.
+    Vertices = 2,
+}
+
+/// How a coefficient is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Encoding {
+    /// 32-bit float, the value itself.
+    F32 = 0,
+    /// 16-bit float, times the header's scale.
+    F16 = 1,
+}
+
+/// How a section is compressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum Codec {
+    /// Not at all.
+    Raw = 0,
+    /// One zstd frame.
+    Zstd = 1,
+}
+
+/// What was done to a section before compression.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum Filter {
+    /// Nothing.
+    None = 0,
+    /// [`byte_shuffle`] with [`Header::element_size`].
+    ByteShuffle = 1,
+}
+
+/// What a reader is ready to hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// The most bytes that all sections together may have once decompressed. Reading takes up to three times that.
+    pub max_bytes: u64,
+}
+
+impl Default for Limits {
+    /// 4 GiB.
+    fn default() -> Limits {
+        Limits { max_bytes: 4 << 30 }
+    }
+}
+
+/// The fixed part of a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Header {
+    /// What the nodes are.
+    pub kind: Kind,
+    /// Grid: nodes per axis. Points and vertices: how many, 1, 1.
+    pub counts: [u32; 3],
+    /// The highest SH band, 0..=4.
+    pub bands: u32,
+    /// How coefficients are stored.
+    pub encoding: Encoding,
+    /// value = stored * scale: a power of two from 2^-100 to 2^100; 1 for [`Encoding::F32`].
+    pub scale: f32,
+    /// The box's lowest corner, metres.
+    pub min: [f64; 3],
+    /// The box's highest corner, metres.
+    pub max: [f64; 3],
+}
+
+impl Header {
+    /// How many nodes the volume has. At most 2³² - 1 in any header that [`Header::parse`] returned.
+    pub fn node_count(&self) -> usize {
+        self.grid().node_count()
+    }
+
+    /// Box and counts as a grid.
+    pub fn grid(&self) -> Grid {
+        Grid { min: self.min, max: self.max, counts: self.counts }
+    }
+
+    /// Floats per node: three per coefficient.
+    pub fn values_per_node(&self) -> usize {
+        3 * coefficient_count(self.bands)
+    }
+
+    /// Bytes of one element of a known section of numbers, which is what a byte shuffle shuffles: `RSH ` 2 or 4 by
+    /// encoding; `COVR`, `SERR` 2; `POSN`, `NORM`, `MESH` 4. None for other sections: they are never shuffled.
+    pub fn element_size(&self, id: [u8; 4]) -> Option<usize> {
+        match (id, self.encoding) {
+            (RADIANCE, Encoding::F16) | (COVERAGE | STANDARD_ERROR, _) => Some(2),
+            (RADIANCE, Encoding::F32) | (POSITIONS | NORMALS | MESHES, _) => Some(4),
+            _ => None,
+        }
+    }
+
+    /// Bytes that a known section must have once decompressed; None where the header does not tell.
+    pub fn raw_size(&self, id: [u8; 4]) -> Option<u64> {
+        let nodes = self.node_count() as u64;
+        let bytes_per_node = match id {
+            RADIANCE => self.values_per_node() as u64 * self.element_size(id)? as u64,
+            VALIDITY => 1,
+            COVERAGE | STANDARD_ERROR => 2,
+            POSITIONS | NORMALS => 12,
+            _ => return None,
+        };
+        Some(nodes.saturating_mul(bytes_per_node))
+    }
+
+    /// The header's bytes, for a file of `section_count` sections.
+    pub fn to_bytes(&self, section_count: u32) -> [u8; HEADER_SIZE] {
+        let mut bytes = [0; HEADER_SIZE];
+        bytes[..8].copy_from_slice(&MAGIC);
+        let words = [
+            VERSION,
+            self.kind as u32,
+            self.counts[0],
+            self.counts[1],
+            self.counts[2],
+            self.bands,
+            self.encoding as u32,
+            self.scale.to_bits(),
+            UNITS_RADIANCE,
+            section_count,
+        ];
+        for (place, word) in bytes[8..48].chunks_exact_mut(4).zip(words) {
+            place.copy_from_slice(&word.to_le_bytes());
+        }
+        let corners = self.min.iter().chain(&self.max);
+        for (place, value) in bytes[48..].chunks_exact_mut(8).zip(corners) {
+            place.copy_from_slice(&value.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// The header in the first [`HEADER_SIZE`] bytes, and the count of sections. Checks every field but no checksum.
+    pub fn parse(bytes: &[u8]) -> Result<(Header, u32), Error> {
+        parse_magic_and_version(bytes)?;
+        if bytes.len() < HEADER_SIZE {
+            return Err(truncated(bytes, HEADER_SIZE as u64));
+        }
+        let word = |at| read_u32(bytes, at);
+        let kind = match word(12) {
+            0 => Kind::Grid,
+            1 => Kind::Points,
+            2 => Kind::Vertices,
+            other => return Err(unknown("byte 12: kind", other, "0, 1 or 2")),
+        };
+        let encoding = match word(32) {
+            0 => Encoding::F32,
+            1 => Encoding::F16,
+            other => return Err(unknown("byte 32: encoding", other, "0 or 1")),
+        };
+        if word(28) > MAX_BANDS {
+            return Err(unknown("byte 28: SH bands", word(28), "0 to 4"));
+        }
+        if word(40) != UNITS_RADIANCE {
+            return Err(unknown("byte 40: units", word(40), "0"));
+        }
+        let section_count = word(44);
+        if section_count as usize > MAX_SECTIONS {
+            return Err(Error::invalid(
+                "header, byte 44: section count",
+                section_count.to_string(),
+                format!("at most {MAX_SECTIONS}"),
+            ));
+        }
+        let float = |at: usize| f64::from_bits(read_u64(bytes, at));
+        let header = Header {
+            kind,
+            counts: [word(16), word(20), word(24)],
+            bands: word(28),
+            encoding,
+            scale: f32::from_bits(word(36)),
+            min: [float(48), float(56), float(64)],
+            max: [float(72), float(80), float(88)],
+        };
+        header.check_counts()?;
+        header.check_scale()?;
+        header.check_box()?;
+        Ok((header, section_count))
+    }
+
+    fn check_counts(&self) -> Result<(), Error> {
+        let place = "header, byte 16: counts";
+        let found = || format!("{:?}", self.counts);
+        if self.counts.contains(&0) {
+            return Err(Error::invalid(place, found(), "at least one node"));
+        }
+        if self.kind != Kind::Grid && self.counts[1..] != [1, 1] {
+            return Err(Error::invalid(place, found(), "[n, 1, 1] for points and vertices"));
+        }
+        // The last factor fits in 64 bits with the product of the first two in 64: so 128 hold all three.
+        let product = self.counts.iter().map(|&count| u128::from(count)).product::<u128>();
+        if product > u128::from(u32::MAX) {
+            return Err(Error::unsupported(place, found(), "at most 4294967295 nodes"));
+        }
+        Ok(())
+    }
+
+    fn check_scale(&self) -> Result<(), Error> {
+        let bits = self.scale.to_bits();
+        let power_of_two = bits & 0x807f_ffff == 0 && (27..=227).contains(&(bits >> 23));
+        let expected = match self.encoding {
+            Encoding::F32 if self.scale != 1.0 => "1 for 32-bit floats",
+            Encoding::F16 if !power_of_two => "a power of two from 2^-100 to 2^100",
+            _ => return Ok(()),
+        };
+        Err(Error::invalid("header, byte 36: scale", format!("{:e}", self.scale), expected))
+    }
+
+    fn check_box(&self) -> Result<(), Error> {
+        for axis in 0..3 {
+            let (min, max) = (self.min[axis], self.max[axis]);
+            // An infinite or undefined corner, and a box too large for a float, have no finite extent.
+            if !((max - min).is_finite() && min <= max) {
+                return Err(Error::invalid(
+                    format!("header, bytes 48 and 72: box, axis {axis}"),
+                    format!("{min:e} to {max:e}"),
+                    "finite numbers, min <= max",
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// One row of the section table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SectionEntry {
+    /// Four ASCII characters.
+    pub id: [u8; 4],
+    /// How it is compressed.
+    pub codec: Codec,
+    /// What was done before compression.
+    pub filter: Filter,
+    /// Where it begins in the file: [`place_sections`] sets it.
+    pub offset: u64,
+    /// Bytes in the file.
+    pub stored_size: u64,
+    /// Bytes once decompressed.
+    pub raw_size: u64,
+    /// [`crc32`] of the stored bytes.
+    pub crc32: u32,
+}
+
+impl SectionEntry {
+    /// The entry's bytes.
+    pub fn to_bytes(&self) -> [u8; ENTRY_SIZE] {
+        let mut bytes = [0; ENTRY_SIZE];
+        bytes[..4].copy_from_slice(&self.id);
+        bytes[4..6].copy_from_slice(&(self.codec as u16).to_le_bytes());
+        bytes[6..8].copy_from_slice(&(self.filter as u16).to_le_bytes());
+        bytes[8..16].copy_from_slice(&self.offset.to_le_bytes());
+        bytes[16..24].copy_from_slice(&self.stored_size.to_le_bytes());
+        bytes[24..32].copy_from_slice(&self.raw_size.to_le_bytes());
+        bytes[32..36].copy_from_slice(&self.crc32.to_le_bytes());
+        bytes
+    }
+
+    /// The entry in the first [`ENTRY_SIZE`] bytes. Checks codec, filter and the reserved word; sizes and offset are
+    /// for whoever knows the file around it.
+    ///
+    /// # Panics
+    /// If there are fewer bytes.
+    pub fn parse(bytes: &[u8]) -> Result<SectionEntry, Error> {
+        assert!(bytes.len() >= ENTRY_SIZE, "{} bytes of {ENTRY_SIZE}", bytes.len());
+        let id = [bytes[0], bytes[1], bytes[2], bytes[3]];
+        let place = section_place(id);
+        let half = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        let codec = match half(4) {
+            0 => Codec::Raw,
+            1 => Codec::Zstd,
+            other => {
+                return Err(Error::unsupported(place, format!("codec {other}"), "0 or 1"));
+            }
+        };
+        let filter = match half(6) {
+            0 => Filter::None,
+            1 => Filter::ByteShuffle,
+            other => {
+                return Err(Error::unsupported(place, format!("filter {other}"), "0 or 1"));
+            }
+        };
+        if read_u32(bytes, 36) != 0 {
+            let found = format!("reserved word {}", read_u32(bytes, 36));
+            return Err(Error::invalid(place, found, "0"));
+        }
+        Ok(SectionEntry {
+            id,
+            codec,
+            filter,
+            offset: read_u64(bytes, 8),
+            stored_size: read_u64(bytes, 16),
+            raw_size: read_u64(bytes, 24),
+            crc32: read_u32(bytes, 32),
+        })
+    }
+
+    pub(crate) fn place(&self) -> String {
+        section_place(self.id)
+    }
+
+    fn check_sizes(&self, header: &Header) -> Result<(), Error> {
+        if self.codec == Codec::Raw && self.raw_size != self.stored_size {
+            return Err(Error::invalid(
+                self.place(),
+                format!("{} bytes stored for {}", self.stored_size, self.raw_size),
+                "as many, since the section is not compressed",
+            ));
+        }
+        match header.raw_size(self.id) {
+            Some(expected) if expected != self.raw_size => Err(Error::invalid(
+                self.place(),
+                format!("{} bytes", self.raw_size),
+                format!("{expected} bytes for {} nodes", header.node_count()),
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Sets the offset of every section from the sizes of those before it, as the format demands. The file ends where the
+/// last section ends.
+pub fn place_sections(sections: &mut [SectionEntry]) {
+    let mut end = directory_size(sections.len()) as u64;
+    for section in sections {
+        section.offset = end.next_multiple_of(ALIGNMENT);
+        end = section.offset + section.stored_size;
+    }
+}
+
+/// Everything before the first section: header, section table, checksum.
+///
+/// # Panics
+/// If there are more than [`MAX_SECTIONS`].
+pub fn directory_to_bytes(header: &Header, sections: &[SectionEntry]) -> Vec<u8> {
+    assert!(sections.len() <= MAX_SECTIONS, "{} sections of at most {MAX_SECTIONS}", sections.len());
+    let mut bytes = header.to_bytes(sections.len() as u32).to_vec();
+    for section in sections {
+        bytes.extend_from_slice(&section.to_bytes());
+    }
+    bytes.extend_from_slice(&crc32(&bytes).to_le_bytes());
+    bytes
+}
+
+/// A file whose header and section table have been read and checked, and whose sections have not.
+#[derive(Clone, Debug)]
+pub struct Directory<'a> {
+    /// The fixed part.
+    pub header: Header,
+    /// The section table, in the order of the file.
+    pub sections: Vec<SectionEntry>,
+    bytes: &'a [u8],
+}
+
+/// Reads header and section table of a file, given all of its bytes. Checks everything but the contents of sections:
+/// the table's checksum, that sections lie where they must, that nothing lies between or behind them.
+pub fn parse_header_and_sections(bytes: &[u8]) -> Result<Directory<'_>, Error> {
+    parse_magic_and_version(bytes)?;
+    if bytes.len() < HEADER_SIZE {
+        return Err(truncated(bytes, HEADER_SIZE as u64));
+    }
+    // The checksum comes before any word is believed, so that damage is called damage. Only the count of sections is
+    // needed to find it.
+    let count = (read_u32(bytes, 44) as usize).min(MAX_SECTIONS);
+    let size = directory_size(count);
+    if bytes.len() < size {
+        return Err(truncated(bytes, size as u64));
+    }
+    let (found, expected) = (crc32(&bytes[..size - 4]), read_u32(bytes, size - 4));
+    if found != expected {
+        return Err(Error::invalid(
+            "header and section table",
+            format!("checksum {found:08x}"),
+            format!("{expected:08x}, as written: the file is damaged"),
+        ));
+    }
+    let (header, _) = Header::parse(bytes)?;
+    let mut sections: Vec<SectionEntry> = Vec::with_capacity(count);
+    let mut end = size as u64;
+    for row in bytes[HEADER_SIZE..size - 4].chunks_exact(ENTRY_SIZE) {
+        let entry = SectionEntry::parse(row)?;
+        if sections.iter().any(|earlier| earlier.id == entry.id) {
+            return Err(Error::invalid(entry.place(), "two of them", "one at most"));
+        }
+        entry.check_sizes(&header)?;
+        end = check_place(bytes, &entry, end)?;
+        sections.push(entry);
+    }
+    if end != bytes.len() as u64 {
+        return Err(Error::invalid(
+            "end of file",
+            format!("{} bytes", bytes.len()),
+            format!("{end} bytes: nothing after the last section"),
+        ));
+    }
+    Ok(Directory { header, sections, bytes })
+}
+
+impl<'a> Directory<'a> {
+    /// The table's row of section `id`.
+    pub fn section(&self, id: [u8; 4]) -> Option<&SectionEntry> {
+        self.sections.iter().find(|entry| entry.id == id)
+    }
+
+    /// The contents of section `id`: checksum compared, decompressed, shuffle undone. None if there is no such
+    /// section.
+    pub fn section_bytes(&self, id: [u8; 4], limits: &Limits) -> Result<Option<Cow<'a, [u8]>>, Error> {
+        let Some(entry) = self.section(id) else {
+            return Ok(None);
+        };
+        if entry.raw_size > limits.max_bytes {
+            return Err(over_limit(&entry.place(), entry.raw_size, limits));
+        }
+        codec::decode(&self.header, entry, self.checked_bytes(entry)?).map(Some)
+    }
+
+    /// Compares the checksum of every section, also of those nobody reads.
+    pub(crate) fn check_contents(&self, limits: &Limits) -> Result<(), Error> {
+        let sizes = self.sections.iter().map(|entry| entry.raw_size);
+        let total = sizes.fold(0, u64::saturating_add);
+        if total > limits.max_bytes {
+            return Err(over_limit("section table", total, limits));
+        }
+        self.sections.iter().try_for_each(|entry| self.checked_bytes(entry).map(|_| ()))
+    }
+
+    fn checked_bytes(&self, entry: &SectionEntry) -> Result<&'a [u8], Error> {
+        // `parse_header_and_sections` has seen that these are within the file.
+        let start = entry.offset as usize;
+        let stored = &self.bytes[start..start + entry.stored_size as usize];
+        let found = crc32(stored);
+        if found != entry.crc32 {
+            return Err(Error::invalid(
+                entry.place(),
+                format!("checksum {found:08x}"),
+                format!("{:08x}, as written: the file is damaged", entry.crc32),
+            ));
+        }
+        Ok(stored)
+    }
+}
+
+/// Checks that a section begins where it must after `end`, with zeros before it, and fits. Returns where it ends.
+fn check_place(bytes: &[u8], entry: &SectionEntry, end: u64) -> Result<u64, Error> {
+    let start = end.next_multiple_of(ALIGNMENT);
+    if entry.offset != start {
+        return Err(Error::invalid(
+            entry.place(),
+            format!("offset {}", entry.offset),
+            format!("{start}: right after what is before it"),
+        ));
+    }
+    let Some(next) = start.checked_add(entry.stored_size).filter(|&next| next <= bytes.len() as u64) else {
+        return Err(Error::invalid(
+            entry.place(),
+            format!("{} bytes from {start}", entry.stored_size),
+            format!("to end within the file of {} bytes", bytes.len()),
+        ));
+    };
+    if bytes[end as usize..start as usize].iter().any(|&byte| byte != 0) {
+        return Err(Error::invalid(format!("before {}", entry.place()), "padding other than zeros", "zeros"));
+    }
+    Ok(next)
+}
+
+fn parse_magic_and_version(bytes: &[u8]) -> Result<(), Error> {
+    if !bytes.starts_with(&MAGIC) {
+        let found = &bytes[..bytes.len().min(MAGIC.len())];
+        return Err(Error::invalid("first bytes", format!("{found:02x?}"), format!("{MAGIC:02x?}: a .gdibl file")));
+    }
+    if bytes.len() < 12 {
+        return Err(truncated(bytes, HEADER_SIZE as u64));
+    }
+    match read_u32(bytes, 8) {
+        VERSION => Ok(()),
+        other => Err(unknown("byte 8: version", other, "1")),
+    }
+}
+
+/// Bytes of header, table and checksum.
+fn directory_size(section_count: usize) -> usize {
+    HEADER_SIZE + section_count * ENTRY_SIZE + 4
+}
+
+fn section_place(id: [u8; 4]) -> String {
+    format!("section {}", id.escape_ascii())
+}
+
+fn truncated(bytes: &[u8], expected: u64) -> Error {
+    Error::invalid("end of file", format!("{} bytes", bytes.len()), format!("at least {expected}: the file is cut off"))
+}
+
+fn unknown(place: &str, found: u32, expected: &str) -> Error {
+    Error::unsupported(format!("header, {place}"), found.to_string(), expected)
+}
+
+fn over_limit(place: &str, found: u64, limits: &Limits) -> Error {
+    Error::unsupported(
+        place,
+        format!("{found} bytes once decompressed"),
+        format!("at most {}, the reader's limit", limits.max_bytes),
+    )
+}
+
+fn read_u32(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(core::array::from_fn(|k| bytes[at + k]))
+}
+
+fn read_u64(bytes: &[u8], at: usize) -> u64 {
+    u64::from_le_bytes(core::array::from_fn(|k| bytes[at + k]))
+}

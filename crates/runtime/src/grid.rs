@@ -1,0 +1,205 @@
+//! A regular grid of nodes over a box: where each node is, and which eight surround a position.
+//!
+//! ```text
+//! count 4 on an axis   |----|----|----|      the first node on min, the last on max
+//!                     min            max
+//! count 1              |      |       |      the one node in the middle: nothing varies along this axis
+//! ```
+//! The index of node (x, y, z) is `x + counts[0] * (y + counts[1] * z)`: x runs fastest, then y, then z.
+
+/// The nodes of a volume, on a regular grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// The box's lowest corner, metres.
+    pub min: [f64; 3],
+    /// The box's highest corner, metres.
+    pub max: [f64; 3],
+    /// Nodes per axis, at least 1; all together at most 2³² - 1.
+    pub counts: [u32; 3],
+}
+
+/// Eight nodes around a position and how much each counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cell {
+    /// Node indices; bit 0 of the place in this array says lower or higher in x, bit 1 in y, bit 2 in z. Where an
+    /// axis has one node, lower and higher are the same.
+    pub nodes: [u32; 8],
+    /// Trilinear weights, 0..=1, which add up to 1.
+    pub weights: [f32; 8],
+    /// Whether the position was in the box; otherwise the weights are those of the nearest position which is.
+    pub inside: bool,
+}
+
+impl Grid {
+    /// How many nodes there are; `usize::MAX` if that does not fit.
+    pub fn node_count(&self) -> usize {
+        self.counts.iter().fold(1, |product: usize, &count| product.saturating_mul(count as usize))
+    }
+
+    /// The distance between neighbouring nodes on each axis, metres; 0 where an axis has one node.
+    pub fn spacing(&self) -> [f64; 3] {
+        core::array::from_fn(|axis| match self.counts[axis] {
+            0 | 1 => 0.0,
+            count => (self.max[axis] - self.min[axis]) / f64::from(count - 1),
+        })
+    }
+
+    /// Where node `index` is, metres.
+    ///
+    /// # Panics
+    /// If there is no such node.
+    pub fn node_position(&self, index: usize) -> [f64; 3] {
+        let count = self.node_count();
+        assert!(index < count, "node {index} of {count}");
+        let [nx, ny, _] = self.counts.map(|count| count as usize);
+        let place = [index % nx, index / nx % ny, index / nx / ny];
+        core::array::from_fn(|axis| {
+            let (min, max) = (self.min[axis], self.max[axis]);
+            match self.counts[axis] as usize - 1 {
+                0 => 0.5 * min + 0.5 * max,
+                last if place[axis] == last => max,
+                last => min + (max - min) * (place[axis] as f64 / last as f64),
+            }
+        })
+    }
+
+    /// The eight nodes around a position, in metres, and their trilinear weights.
+    ///
+    /// Every position has an answer: outside the box that of the nearest position in it, and a coordinate that is no
+    /// number counts as the box's min.
+    #[inline]
+    pub fn locate(&self, position: [f64; 3]) -> Cell {
+        let mut lower = [0; 3];
+        let mut higher = [0; 3];
+        let mut share = [0.0; 3];
+        for axis in 0..3 {
+            let last = self.counts[axis].max(1) - 1;
+            if last == 0 {
+                continue;
+            }
+            // The position in units of nodes, 0 to last.
+            let extent = self.max[axis] - self.min[axis];
+            let mut place = (position[axis] - self.min[axis]) / extent * f64::from(last);
+            // `max` and `min` of a NaN give the other operand.
+            place = place.max(0.0).min(f64::from(last));
+            lower[axis] = (place as u32).min(last - 1);
+            higher[axis] = lower[axis] + 1;
+            share[axis] = (place - f64::from(lower[axis])) as f32;
+        }
+        let [nx, ny, _] = self.counts;
+        let index = |corner: usize| {
+            let [x, y, z]: [u32; 3] =
+                core::array::from_fn(|axis| if corner >> axis & 1 == 1 { higher[axis] } else { lower[axis] });
+            x.wrapping_add(nx.wrapping_mul(y.wrapping_add(ny.wrapping_mul(z))))
+        };
+        let weight = |corner: usize| {
+            let along = |axis: usize| {
+                if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] }
+            };
+            along(0) * along(1) * along(2)
+        };
+        Cell {
+            nodes: core::array::from_fn(index),
+            weights: core::array::from_fn(weight),
+            inside: box_contains(self.min, self.max, position),
+        }
+    }
+}
+
+/// Whether a position is in a box, its faces included, give or take a millionth of its size and the rounding of a
+/// coordinate to f32: so that a node's own position counts as inside, also after a trip through f32.
+pub(crate) fn box_contains(min: [f64; 3], max: [f64; 3], position: [f64; 3]) -> bool {
+    let size = (0..3).map(|axis| max[axis] - min[axis]).fold(0.0, f64::max);
+    (0..3).all(|axis| {
+        let slack = 1e-6 * size + min[axis].abs().max(max[axis].abs()) * f64::from(f32::EPSILON);
+        position[axis] >= min[axis] - slack && position[axis] <= max[axis] + slack
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec::Vec;
+
+    const GRID: Grid = Grid { min: [-1.0, 2.0, 10.0], max: [3.0, 2.5, 11.0], counts: [5, 3, 4] };
+
+    fn positions() -> Vec<[f64; 3]> {
+        let mut positions = Vec::new();
+        for i in 0..500 {
+            let t = f64::from(i);
+            positions.push([
+                1.0 + 2.6 * (t * 0.61).sin(),
+                2.25 + 0.3 * (t * 0.37).sin(),
+                10.5 + 0.55 * (t * 0.23).sin(),
+            ]);
+        }
+        for odd in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300, 0.0, -0.0] {
+            positions.push([odd, 2.2, 10.5]);
+            positions.push([odd; 3]);
+        }
+        positions
+    }
+
+    #[test]
+    fn first_node_is_on_min_and_last_on_max() {
+        assert_eq!(GRID.node_count(), 60);
+        assert_eq!(GRID.node_position(0), GRID.min);
+        assert_eq!(GRID.node_position(59), GRID.max);
+        assert_eq!(GRID.node_position(1), [0.0, 2.0, 10.0]);
+        assert_eq!(GRID.node_position(5), [-1.0, 2.25, 10.0]);
+        assert_eq!(GRID.spacing(), [1.0, 0.25, 1.0 / 3.0]);
+    }
+
+    #[test]
+    fn weights_sum_to_one_and_nodes_exist_everywhere() {
+        for counts in [[5, 3, 4], [1, 3, 4], [5, 1, 1], [1, 1, 1], [2, 2, 2]] {
+            for grid in [Grid { counts, ..GRID }, Grid { counts, max: GRID.min, ..GRID }] {
+                for position in positions() {
+                    let cell = grid.locate(position);
+                    let sum: f32 = cell.weights.iter().sum();
+                    assert!((sum - 1.0).abs() < 1e-6, "{position:?}: {sum}");
+                    assert!(cell.weights.iter().all(|w| (0.0..=1.0).contains(w)));
+                    assert!(cell.nodes.iter().all(|&n| (n as usize) < grid.node_count()));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn trilinear_reproduces_positions_inside_and_the_nearest_on_the_box_outside() {
+        for position in positions() {
+            let cell = GRID.locate(position);
+            for axis in 0..3 {
+                let found: f64 =
+                    (0..8).map(|k| f64::from(cell.weights[k]) * GRID.node_position(cell.nodes[k] as usize)[axis]).sum();
+                let truth = position[axis].max(GRID.min[axis]).min(GRID.max[axis]);
+                assert!((found - truth).abs() < 1e-5, "{position:?}: {found} {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_nodes_own_position_is_inside_and_has_its_whole_weight_also_as_f32() {
+        let grid = Grid { min: [0.1, -0.3, 1e5 + 0.1], max: [0.7, 0.9, 1e5 + 0.7], ..GRID };
+        for index in 0..grid.node_count() {
+            let exact = grid.node_position(index);
+            for position in [exact, exact.map(|v| f64::from(v as f32))] {
+                let cell = grid.locate(position);
+                assert!(cell.inside, "{position:?}");
+                if position == exact {
+                    let k = (0..8).find(|&k| cell.nodes[k] as usize == index).unwrap();
+                    assert!(cell.weights[k] > 0.999_99, "{cell:?}");
+                }
+            }
+        }
+        assert!(!grid.locate([0.0999, 0.0, 1e5 + 0.3]).inside);
+        assert!(!grid.locate([f64::NAN, 0.0, 1e5 + 0.3]).inside);
+    }
+
+    #[test]
+    fn one_node_on_an_axis_sits_in_the_middle() {
+        let grid = Grid { counts: [5, 1, 4], ..GRID };
+        assert_eq!(grid.node_position(0), [-1.0, 2.25, 10.0]);
+        assert_eq!(grid.spacing()[1], 0.0);
+    }
+}

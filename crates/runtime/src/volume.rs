@@ -1,0 +1,358 @@
+//! A parsed file: coefficients per node, and what is known of each node.
+//!
+//! A file holds coefficients in planes (all nodes' first value, then all nodes' second, …), which compress well. A
+//! sample wants all values of few nodes, so that parsing turns the planes round: here every node's values lie
+//! together, coefficient by coefficient, red green blue. They stay 16-bit where the file's are.
+
+use crate::format::{
+    self, COVERAGE, Directory, Encoding, Header, Kind, Limits, MESHES, NORMALS, POSITIONS, RADIANCE, STANDARD_ERROR,
+    VALIDITY,
+};
+use crate::half::{f16_is_finite, f16_to_f32};
+use crate::nearest::NearestIndex;
+use crate::{Error, RadianceSh};
+use alloc::format;
+use alloc::vec;
+use alloc::vec::Vec;
+use core::ops::Range;
+
+/// Irradiance volume, ready to sample: see [`sample`](crate::sample) for that.
+#[derive(Clone, Debug)]
+pub struct Volume {
+    pub(crate) header: Header,
+    pub(crate) coefficients: Coefficients,
+    pub(crate) validity: Option<Vec<u8>>,
+    coverage: Option<Vec<u16>>,
+    relative_error: Option<Vec<u16>>,
+    /// Points and vertices; relative to the header's min.
+    pub(crate) positions: Vec<[f32; 3]>,
+    pub(crate) index: NearestIndex,
+    /// Vertices.
+    pub(crate) normals: Vec<[f32; 3]>,
+    meshes: Vec<VertexSet>,
+}
+
+/// Node by node, `Header::values_per_node` each.
+#[derive(Clone, Debug)]
+pub(crate) enum Coefficients {
+    F16(Vec<u16>),
+    F32(Vec<f32>),
+}
+
+/// Which nodes are the vertices of which part of the level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct VertexSet {
+    /// Index of the glTF node.
+    pub node: u32,
+    /// Index of the glTF mesh.
+    pub mesh: u32,
+    /// Index of the primitive in the mesh.
+    pub primitive: u32,
+    /// The first of its nodes in the volume; the others follow in the order of the primitive's vertices.
+    pub first: u32,
+    /// How many there are.
+    pub count: u32,
+}
+
+impl Volume {
+    /// Reads a file, given all of its bytes, with the default [`Limits`].
+    pub fn parse(bytes: &[u8]) -> Result<Volume, Error> {
+        Volume::parse_with_limits(bytes, &Limits::default())
+    }
+
+    /// Reads a file, given all of its bytes. Checks all of it, also sections that it does not use.
+    pub fn parse_with_limits(bytes: &[u8], limits: &Limits) -> Result<Volume, Error> {
+        let directory = format::parse_header_and_sections(bytes)?;
+        directory.check_contents(limits)?;
+        let header = directory.header;
+        let sections = Sections { directory, limits };
+        sections.check_kind()?;
+        let coefficients = sections.coefficients()?;
+        let positions = sections.vectors(POSITIONS)?;
+        Ok(Volume {
+            header,
+            coefficients,
+            validity: sections.validity()?,
+            coverage: sections.fractions(COVERAGE, 1.0)?,
+            relative_error: sections.fractions(STANDARD_ERROR, f32::MAX)?,
+            index: NearestIndex::build(&positions),
+            positions,
+            normals: sections.vectors(NORMALS)?,
+            meshes: sections.meshes()?,
+        })
+    }
+
+    /// The fixed part of the file: kind, box, counts, bands.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// How many nodes there are; at least 1.
+    pub fn node_count(&self) -> usize {
+        self.header.node_count()
+    }
+
+    /// The radiance at node `node`, as stored.
+    ///
+    /// # Panics
+    /// If there is no such node, as all accessors by node.
+    pub fn node_sh(&self, node: usize) -> RadianceSh {
+        self.check_node(node);
+        let mut sh = RadianceSh::zero(self.header.bands);
+        let values = sh.coefficients.as_flattened_mut();
+        let count = self.header.values_per_node();
+        let range = node * count..(node + 1) * count;
+        match &self.coefficients {
+            Coefficients::F32(all) => values[..count].copy_from_slice(&all[range]),
+            Coefficients::F16(all) => {
+                for (value, &bits) in values.iter_mut().zip(&all[range]) {
+                    *value = f16_to_f32(bits) * self.header.scale;
+                }
+            }
+        }
+        sh
+    }
+
+    /// Whether node `node` was baked; otherwise it is filled from its neighbours.
+    pub fn is_valid(&self, node: usize) -> bool {
+        self.check_node(node);
+        self.validity.as_ref().is_none_or(|validity| validity[node] == 1)
+    }
+
+    /// The share of what node `node` sees (by solid angle) that some probe has seen, 0..=1.
+    pub fn node_coverage(&self, node: usize) -> f32 {
+        self.check_node(node);
+        self.coverage.as_ref().map_or(1.0, |all| f16_to_f32(all[node]))
+    }
+
+    /// One standard error of irradiance at node `node`, relative; None if it was not measured.
+    pub fn node_relative_error(&self, node: usize) -> Option<f32> {
+        self.check_node(node);
+        self.relative_error.as_ref().map(|all| f16_to_f32(all[node]))
+    }
+
+    /// Where node `node` is, metres.
+    pub fn node_position(&self, node: usize) -> [f64; 3] {
+        self.check_node(node);
+        match self.header.kind {
+            Kind::Grid => self.header.grid().node_position(node),
+            Kind::Points | Kind::Vertices => {
+                core::array::from_fn(|axis| self.header.min[axis] + f64::from(self.positions[node][axis]))
+            }
+        }
+    }
+
+    /// The normal of vertex `node`, unit length; None for grids and points, which have none.
+    pub fn node_normal(&self, node: usize) -> Option<[f32; 3]> {
+        self.check_node(node);
+        self.normals.get(node).copied()
+    }
+
+    /// The nodes at the vertices of one primitive of one mesh on one glTF node, in the order of its vertices; None if
+    /// the volume has none there.
+    pub fn vertex_set(&self, node: u32, mesh: u32, primitive: u32) -> Option<Range<usize>> {
+        let place = self
+            .meshes
+            .binary_search_by_key(&(node, mesh, primitive), |set| (set.node, set.mesh, set.primitive))
+            .ok()?;
+        let VertexSet { first, count, .. } = self.meshes[place];
+        Some(first as usize..first as usize + count as usize)
+    }
+
+    /// All vertex sets, in order of node, mesh and primitive. Empty unless the volume holds vertices.
+    pub fn vertex_sets(&self) -> &[VertexSet] {
+        &self.meshes
+    }
+
+    fn check_node(&self, node: usize) {
+        assert!(node < self.node_count(), "node {node} of {}", self.node_count());
+    }
+}
+
+/// The sections of one file on their way into a volume.
+struct Sections<'a> {
+    directory: Directory<'a>,
+    limits: &'a Limits,
+}
+
+impl Sections<'_> {
+    /// Checks that the sections there are fit the kind of volume.
+    fn check_kind(&self) -> Result<(), Error> {
+        let kind = self.directory.header.kind;
+        let placed = kind != Kind::Grid;
+        let vertices = kind == Kind::Vertices;
+        for (id, allowed, required) in [
+            (RADIANCE, true, true),
+            (POSITIONS, placed, placed),
+            (NORMALS, vertices, vertices),
+            (MESHES, vertices, false),
+        ] {
+            let present = self.directory.section(id).is_some();
+            let (found, expected) = match (present, allowed) {
+                (true, false) => ("one", "none"),
+                (false, _) if required => ("none", "one"),
+                _ => continue,
+            };
+            return Err(Error::invalid(
+                format!("section {}", id.escape_ascii()),
+                found,
+                format!("{expected} in a volume of kind {kind:?}"),
+            ));
+        }
+        Ok(())
+    }
+
+    fn coefficients(&self) -> Result<Coefficients, Error> {
+        let header = &self.directory.header;
+        let bytes = self.directory.section_bytes(RADIANCE, self.limits)?;
+        let bytes = bytes.unwrap_or_default();
+        let (nodes, planes) = (header.node_count(), header.values_per_node());
+        let (coefficients, odd) = match header.encoding {
+            Encoding::F16 => {
+                let values = interleave(&bytes, nodes, planes, u16::from_le_bytes);
+                let odd = values.iter().position(|&bits| !f16_is_finite(bits));
+                (Coefficients::F16(values), odd)
+            }
+            Encoding::F32 => {
+                let values = interleave(&bytes, nodes, planes, f32::from_le_bytes);
+                let odd = values.iter().position(|value| !value.is_finite());
+                (Coefficients::F32(values), odd)
+            }
+        };
+        match odd {
+            None => Ok(coefficients),
+            Some(place) => Err(Error::invalid(
+                format!("section RSH , node {}, plane {}", place / planes, place % planes),
+                "infinity or NaN",
+                "a finite number",
+            )),
+        }
+    }
+
+    fn validity(&self) -> Result<Option<Vec<u8>>, Error> {
+        let Some(bytes) = self.directory.section_bytes(VALIDITY, self.limits)? else {
+            return Ok(None);
+        };
+        if let Some(node) = bytes.iter().position(|&byte| byte > 1) {
+            return Err(Error::invalid(format!("section VALD, node {node}"), format!("{}", bytes[node]), "0 or 1"));
+        }
+        Ok(Some(bytes.into_owned()))
+    }
+
+    /// 16-bit floats from 0 to `max`.
+    fn fractions(&self, id: [u8; 4], max: f32) -> Result<Option<Vec<u16>>, Error> {
+        let Some(bytes) = self.directory.section_bytes(id, self.limits)? else {
+            return Ok(None);
+        };
+        let values: Vec<u16> = bytes.as_chunks().0.iter().map(|&b| u16::from_le_bytes(b)).collect();
+        let odd = values.iter().position(|&bits| !(0.0..=max).contains(&f16_to_f32(bits)));
+        match odd {
+            None => Ok(Some(values)),
+            Some(node) => Err(Error::invalid(
+                format!("section {}, node {node}", id.escape_ascii()),
+                format!("{}", f16_to_f32(values[node])),
+                if max == 1.0 { "0 to 1" } else { "a finite number, at least 0" },
+            )),
+        }
+    }
+
+    /// Three finite floats per node; empty where there is no such section.
+    fn vectors(&self, id: [u8; 4]) -> Result<Vec<[f32; 3]>, Error> {
+        let bytes = self.directory.section_bytes(id, self.limits)?.unwrap_or_default();
+        let floats = bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b));
+        let floats: Vec<f32> = floats.collect();
+        if let Some(place) = floats.iter().position(|value| !value.is_finite()) {
+            return Err(Error::invalid(
+                format!("section {}, node {}", id.escape_ascii(), place / 3),
+                "infinity or NaN",
+                "a finite number",
+            ));
+        }
+        Ok(floats.as_chunks::<3>().0.to_vec())
+    }
+
+    fn meshes(&self) -> Result<Vec<VertexSet>, Error> {
+        let bytes = self.directory.section_bytes(MESHES, self.limits)?.unwrap_or_default();
+        let (records, rest) = bytes.as_chunks::<20>();
+        if !rest.is_empty() {
+            return Err(Error::invalid("section MESH", format!("{} bytes", bytes.len()), "whole records of 20 bytes"));
+        }
+        let nodes = self.directory.header.node_count() as u64;
+        let mut sets = Vec::with_capacity(records.len());
+        for (place, record) in records.iter().enumerate() {
+            let word = |k: usize| u32::from_le_bytes(core::array::from_fn(|i| record[4 * k + i]));
+            let set = VertexSet { node: word(0), mesh: word(1), primitive: word(2), first: word(3), count: word(4) };
+            if u64::from(set.first) + u64::from(set.count) > nodes {
+                return Err(Error::invalid(
+                    format!("section MESH, record {place}"),
+                    format!("{} vertices from {}", set.count, set.first),
+                    format!("to end within the {nodes} of the volume"),
+                ));
+            }
+            sets.push(set);
+        }
+        let key = |set: &VertexSet| (set.node, set.mesh, set.primitive);
+        sets.sort_unstable();
+        if let Some(pair) = sets.windows(2).find(|pair| key(&pair[0]) == key(&pair[1])) {
+            return Err(Error::invalid(
+                "section MESH",
+                format!("two records for node, mesh, primitive {:?}", key(&pair[0])),
+                "one",
+            ));
+        }
+        Ok(sets)
+    }
+}
+
+/// From planes of `nodes` elements of N bytes to `planes` values per node.
+///
+/// Node by node would touch as many cache lines as there are planes for each; plane by plane as many as there are
+/// nodes. In blocks of nodes, what is written stays in the first-level cache and what is read comes in whole lines.
+fn interleave<T: Copy + Default, const N: usize>(
+    bytes: &[u8],
+    nodes: usize,
+    planes: usize,
+    decode: impl Fn([u8; N]) -> T,
+) -> Vec<T> {
+    /// 64 nodes of 75 values of 4 bytes are 19 KB.
+    const BLOCK: usize = 64;
+    let elements = bytes.as_chunks::<N>().0;
+    let mut values = vec![T::default(); nodes * planes];
+    for (block, rows) in values.chunks_mut(BLOCK * planes).enumerate() {
+        let first = block * BLOCK;
+        let count = rows.len() / planes;
+        for plane in 0..planes {
+            let start = plane * nodes + first;
+            let column = rows.iter_mut().skip(plane).step_by(planes);
+            for (value, &element) in column.zip(&elements[start..start + count]) {
+                *value = decode(element);
+            }
+        }
+    }
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn interleave_turns_planes_into_nodes() {
+        for nodes in [1, 3, 63, 64, 65, 200] {
+            for planes in [3, 12, 27] {
+                let value = |plane: usize, node: usize| (plane * 1000 + node) as u16;
+                let mut bytes = Vec::new();
+                for plane in 0..planes {
+                    for node in 0..nodes {
+                        bytes.extend_from_slice(&value(plane, node).to_le_bytes());
+                    }
+                }
+                let values = interleave(&bytes, nodes, planes, u16::from_le_bytes);
+                assert_eq!(values.len(), nodes * planes);
+                for (place, &found) in values.iter().enumerate() {
+                    assert_eq!(found, value(place % planes, place / planes));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,193 @@
+//! Small volumes for the tests, written byte by byte after FORMAT.md and not with the crate's own writer.
+
+#![allow(dead_code, reason = "each test file uses its part")]
+
+use gdibl_runtime::format::crc32;
+
+/// A section as it goes into a file.
+#[derive(Clone)]
+pub struct Section {
+    pub id: [u8; 4],
+    pub codec: u16,
+    pub filter: u16,
+    pub raw_size: u64,
+    pub stored: Vec<u8>,
+}
+
+pub fn raw(id: &[u8; 4], bytes: Vec<u8>) -> Section {
+    Section { id: *id, codec: 0, filter: 0, raw_size: bytes.len() as u64, stored: bytes }
+}
+
+/// The header's fields, as numbers.
+#[derive(Clone)]
+pub struct File {
+    pub version: u32,
+    pub kind: u32,
+    pub counts: [u32; 3],
+    pub bands: u32,
+    pub encoding: u32,
+    pub scale: f32,
+    pub units: u32,
+    pub min: [f64; 3],
+    pub max: [f64; 3],
+    pub sections: Vec<Section>,
+}
+
+impl File {
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut bytes = vec![0x89, 0x47, 0x44, 0x49, 0x42, 0x4c, 0x0a, 0x1a];
+        let [x, y, z] = self.counts;
+        for word in [self.version, self.kind, x, y, z, self.bands, self.encoding] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend(self.scale.to_le_bytes());
+        bytes.extend(self.units.to_le_bytes());
+        bytes.extend((self.sections.len() as u32).to_le_bytes());
+        for value in self.min.iter().chain(&self.max) {
+            bytes.extend(value.to_le_bytes());
+        }
+        assert_eq!(bytes.len(), 96);
+        let mut end = 96 + 40 * self.sections.len() + 4;
+        for section in &self.sections {
+            let offset = end.div_ceil(8) * 8;
+            end = offset + section.stored.len();
+            bytes.extend(section.id);
+            bytes.extend(section.codec.to_le_bytes());
+            bytes.extend(section.filter.to_le_bytes());
+            bytes.extend((offset as u64).to_le_bytes());
+            bytes.extend((section.stored.len() as u64).to_le_bytes());
+            bytes.extend(section.raw_size.to_le_bytes());
+            bytes.extend(crc32(&section.stored).to_le_bytes());
+            bytes.extend(0u32.to_le_bytes());
+        }
+        bytes.extend(crc32(&bytes).to_le_bytes());
+        for section in &self.sections {
+            bytes.resize(bytes.len().div_ceil(8) * 8, 0);
+            bytes.extend(&section.stored);
+        }
+        bytes
+    }
+
+    pub fn nodes(&self) -> usize {
+        self.counts.iter().map(|&n| n as usize).product()
+    }
+
+    pub fn planes(&self) -> usize {
+        3 * (self.bands as usize + 1).pow(2)
+    }
+
+    /// Adds the radiance section: `value(node, coefficient, channel)` as it shall come out.
+    pub fn radiance(mut self, value: impl Fn(usize, usize, usize) -> f32) -> File {
+        let mut bytes = Vec::new();
+        for plane in 0..self.planes() {
+            for node in 0..self.nodes() {
+                let stored = value(node, plane / 3, plane % 3) / self.scale;
+                match self.encoding {
+                    0 => bytes.extend(stored.to_le_bytes()),
+                    _ => bytes.extend(half::f16::from_f32(stored).to_le_bytes()),
+                }
+            }
+        }
+        self.sections.push(raw(b"RSH ", bytes));
+        self
+    }
+
+    pub fn section(mut self, section: Section) -> File {
+        self.sections.push(section);
+        self
+    }
+
+    pub fn validity(self, valid: impl Fn(usize) -> bool) -> File {
+        let bytes = (0..self.nodes()).map(|node| u8::from(valid(node))).collect();
+        self.section(raw(b"VALD", bytes))
+    }
+
+    /// Compresses every section with the reference zstd, sections of floats shuffled.
+    pub fn zstd(mut self) -> File {
+        for section in &mut self.sections {
+            let element_size = match (&section.id, self.encoding) {
+                (b"RSH ", 1) | (b"COVR" | b"SERR", _) => 2,
+                (b"RSH ", _) | (b"POSN" | b"NORM" | b"MESH", _) => 4,
+                _ => 1,
+            };
+            let mut bytes = section.stored.clone();
+            if element_size > 1 {
+                bytes = gdibl_runtime::format::byte_shuffle(&bytes, element_size);
+                section.filter = 1;
+            }
+            section.stored = zstd::encode_all(&bytes[..], 19).unwrap();
+            section.codec = 1;
+        }
+        self
+    }
+}
+
+pub fn grid(counts: [u32; 3], bands: u32, encoding: u32, scale: f32) -> File {
+    File {
+        version: 1,
+        kind: 0,
+        counts,
+        bands,
+        encoding,
+        scale,
+        units: 0,
+        min: [-1.0, 0.5, 2.0],
+        max: [3.0, 2.0, 5.0],
+        sections: Vec::new(),
+    }
+}
+
+pub fn floats(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
+    values.into_iter().flat_map(f32::to_le_bytes).collect()
+}
+
+pub fn halves(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
+    values.into_iter().flat_map(|v| half::f16::from_f32(v).to_le_bytes()).collect()
+}
+
+/// A value that f16 holds exactly, different for every node and plane.
+pub fn pattern(node: usize, coefficient: usize, channel: usize) -> f32 {
+    let mixed = (node * 131 + coefficient * 29 + channel * 7 + 3) % 1021;
+    (mixed as f32 - 400.0) / 64.0 + if coefficient == 0 { 20.0 } else { 0.0 }
+}
+
+/// A small L1 grid with every section that a grid may have, and one that nobody knows.
+pub fn small_grid() -> File {
+    grid([2, 3, 1], 1, 1, 0.5)
+        .radiance(pattern)
+        .validity(|node| node != 4)
+        .section(raw(b"COVR", halves((0..6).map(|i| i as f32 / 8.0))))
+        .section(raw(b"SERR", halves((0..6).map(|i| i as f32 / 64.0))))
+        .section(raw(b"SETT", b"not for the runtime".to_vec()))
+        .section(raw(b"new!", vec![1, 2, 3]))
+}
+
+/// Five points, L0, f32.
+pub fn small_points() -> File {
+    let mut file = grid([5, 1, 1], 0, 0, 1.0);
+    file.kind = 1;
+    let places = (0..5).flat_map(|i| [i as f32 * 0.75, 0.25, 1.0 + (i % 2) as f32]);
+    file.radiance(pattern).section(raw(b"POSN", floats(places)))
+}
+
+/// The eight corners of a cube, each three times with its three normals: vertices of two primitives, L2, f16.
+pub fn small_vertices() -> File {
+    let mut file = grid([24, 1, 1], 2, 1, 2.0);
+    file.kind = 2;
+    let (mut places, mut normals) = (Vec::new(), Vec::new());
+    for vertex in 0..24 {
+        let corner = vertex / 3;
+        for axis in 0..3 {
+            let high = corner >> axis & 1 == 1;
+            places.push(if high { 1.5 } else { 0.0 });
+            let sign = if high { 1.0 } else { -1.0 };
+            normals.push(if vertex % 3 == axis { sign } else { 0.0 });
+        }
+    }
+    let records = [[7u32, 1, 1, 12, 12], [7, 1, 0, 0, 12]];
+    let records = records.as_flattened().iter().flat_map(|word| word.to_le_bytes()).collect();
+    file.radiance(pattern)
+        .section(raw(b"POSN", floats(places)))
+        .section(raw(b"NORM", floats(normals)))
+        .section(raw(b"MESH", records))
+}

@@ -1,0 +1,123 @@
+//! Files of every version ever released stay readable, to the bit. Compare mode is the default; with
+//! `GDIBL_UPDATE_GOLDEN=1` the files are written anew (and the change shows in the commit). Tolerance: 0.
+
+mod common;
+
+use common::*;
+use gdibl_runtime::format::{self, SectionEntry};
+use gdibl_runtime::{Kind, Volume};
+use std::path::PathBuf;
+
+fn path(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/golden").join(name)
+}
+
+fn files() -> [(&'static str, File); 3] {
+    [
+        ("v1_grid_f16.gdibl", small_grid()),
+        ("v1_points_f32.gdibl", small_points()),
+        ("v1_vertices_f16.gdibl", small_vertices()),
+    ]
+}
+
+fn golden(name: &str, written: Vec<u8>) -> Vec<u8> {
+    if std::env::var_os("GDIBL_UPDATE_GOLDEN").is_some() {
+        std::fs::write(path(name), written).unwrap();
+    }
+    std::fs::read(path(name)).unwrap()
+}
+
+fn check_contents(name: &str, bytes: &[u8]) {
+    let volume = Volume::parse(bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let header = volume.header();
+    for node in 0..volume.node_count() {
+        let sh = volume.node_sh(node);
+        for index in 0..25 {
+            for channel in 0..3 {
+                let within = index < (header.bands as usize + 1).pow(2);
+                let truth = if within { pattern(node, index, channel) } else { 0.0 };
+                assert_eq!(sh.coefficients[index][channel], truth, "{name}: node {node}");
+            }
+        }
+    }
+    match header.kind {
+        Kind::Grid => {
+            assert_eq!(volume.node_count(), 6);
+            assert!(volume.is_valid(0) && !volume.is_valid(4));
+            assert_eq!(volume.node_coverage(4), 0.5);
+            assert_eq!(volume.node_relative_error(4), Some(4.0 / 64.0));
+            assert_eq!(volume.node_position(5), [3.0, 2.0, 3.5]);
+            assert_eq!(volume.node_normal(0), None);
+        }
+        Kind::Points => {
+            assert_eq!(volume.node_position(3), [1.25, 0.75, 4.0]);
+            assert_eq!(volume.node_coverage(4), 1.0);
+            assert_eq!(volume.node_relative_error(4), None);
+            assert_eq!(volume.vertex_set(7, 1, 0), None);
+        }
+        Kind::Vertices => {
+            assert_eq!(volume.node_normal(21), Some([1.0, 0.0, 0.0]));
+            assert_eq!(volume.vertex_set(7, 1, 0), Some(0..12));
+            assert_eq!(volume.vertex_set(7, 1, 1), Some(12..24));
+            assert_eq!(volume.vertex_set(7, 0, 1), None);
+            assert_eq!(volume.vertex_sets().len(), 2);
+        }
+    }
+}
+
+#[test]
+fn golden_files_read_as_ever() {
+    for (name, file) in files() {
+        let bytes = golden(name, file.to_bytes());
+        assert_eq!(bytes, file.to_bytes(), "{name}: the layout has changed");
+        check_contents(name, &bytes);
+    }
+}
+
+#[cfg(feature = "zstd")]
+#[test]
+fn compressed_golden_files_read_as_ever() {
+    // Only reading is compared: another release of zstd may compress otherwise.
+    for (name, file) in files() {
+        let name = name.replace(".gdibl", "_zstd.gdibl");
+        check_contents(&name, &golden(&name, file.zstd().to_bytes()));
+    }
+}
+
+#[cfg(not(feature = "zstd"))]
+#[test]
+fn without_the_feature_compressed_files_are_unsupported_and_say_why() {
+    let error = Volume::parse(&std::fs::read(path("v1_grid_f16_zstd.gdibl")).unwrap()).unwrap_err();
+    assert!(matches!(error, gdibl_runtime::Error::Unsupported(_)));
+    assert!(error.to_string().contains("zstd"), "{error}");
+}
+
+#[test]
+fn header_and_table_written_by_the_crate_are_the_golden_bytes() {
+    for (name, file) in files() {
+        let bytes = golden(name, file.to_bytes());
+        let directory = format::parse_header_and_sections(&bytes).unwrap();
+        let mut sections: Vec<SectionEntry> = directory.sections.clone();
+        for section in &mut sections {
+            section.offset = 0;
+        }
+        format::place_sections(&mut sections);
+        assert_eq!(sections, directory.sections);
+        let written = format::directory_to_bytes(&directory.header, &sections);
+        assert_eq!(written, bytes[..written.len()], "{name}");
+        let last = sections.last().unwrap();
+        assert_eq!(last.offset + last.stored_size, bytes.len() as u64);
+    }
+}
+
+#[test]
+fn an_inspector_reads_sections_that_the_volume_skips() {
+    let bytes = small_grid().to_bytes();
+    let directory = format::parse_header_and_sections(&bytes).unwrap();
+    let ids: Vec<[u8; 4]> = directory.sections.iter().map(|section| section.id).collect();
+    assert_eq!(ids, [*b"RSH ", *b"VALD", *b"COVR", *b"SERR", *b"SETT", *b"new!"]);
+    let limits = Default::default();
+    let settings = directory.section_bytes(format::SETTINGS, &limits).unwrap().unwrap();
+    assert_eq!(&settings[..], b"not for the runtime");
+    assert_eq!(directory.section_bytes(format::PROBES, &limits), Ok(None));
+}

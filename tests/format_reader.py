@@ -1,0 +1,246 @@
+#!/usr/bin/env python3
+"""Reads a .gdibl file straight from crates/runtime/FORMAT.md and prints irradiance: a second opinion on ours.
+
+    format_reader.py FILE.gdibl < queries.csv
+
+A query is a line x,y,z,nx,ny,nz; the answer a line r,g,b: E on a surface there, nine significant digits. Shares no code
+with the project and uses the standard library only; zstd needs Python 3.14 (compression.zstd). Everything is computed
+in double precision. Exit code 3, with a line on stderr, for a file that FORMAT.md does not allow.
+"""
+
+import math
+import struct
+import sys
+import zlib
+
+PI = math.pi
+
+
+class Refused(Exception):
+    pass
+
+
+def demand(condition, message):
+    if not condition:
+        raise Refused(message)
+
+
+# --- the container ----------------------------------------------------------------------------------------------------
+
+ELEMENT_SIZES = {b"COVR": 2, b"SERR": 2, b"POSN": 4, b"NORM": 4, b"MESH": 4}
+
+
+class Volume:
+    def __init__(self, data):
+        demand(data[:8] == bytes.fromhex("89474449424c0a1a"), "not a .gdibl file")
+        demand(len(data) >= 100, "file is cut off in the header")
+        version, self.kind = struct.unpack_from("<2I", data, 8)
+        demand(version == 1, f"version {version}")
+        self.counts = struct.unpack_from("<3I", data, 16)
+        self.bands, self.encoding = struct.unpack_from("<2I", data, 28)
+        (self.scale,) = struct.unpack_from("<f", data, 36)
+        units, section_count = struct.unpack_from("<2I", data, 40)
+        self.min = struct.unpack_from("<3d", data, 48)
+        self.max = struct.unpack_from("<3d", data, 72)
+        demand(self.kind <= 2, f"kind {self.kind}")
+        demand(self.bands <= 4, f"bands {self.bands}")
+        demand(self.encoding <= 1, f"encoding {self.encoding}")
+        demand(units == 0, f"units {units}")
+        demand(section_count <= 64, f"{section_count} sections")
+        demand(min(self.counts) >= 1, f"counts {self.counts}")
+        demand(self.kind == 0 or self.counts[1:] == (1, 1), f"counts {self.counts}")
+        for low, high in zip(self.min, self.max):
+            demand(math.isfinite(high - low) and low <= high, f"box {self.min} to {self.max}")
+        mantissa, exponent = math.frexp(self.scale)
+        demand(mantissa == 0.5 and -100 <= exponent - 1 <= 100, f"scale {self.scale}")
+        demand(self.encoding == 1 or self.scale == 1, f"scale {self.scale} for f32")
+        self.node_count = math.prod(self.counts)
+        demand(self.node_count < 2**32, f"counts {self.counts}")
+        self.sections = self.read_sections(data, section_count)
+        self.read_contents()
+
+    def read_sections(self, data, count):
+        end = 96 + 40 * count
+        demand(len(data) >= end + 4, "file is cut off in the section table")
+        demand(struct.unpack_from("<I", data, end)[0] == zlib.crc32(data[:end]), "table is damaged")
+        end += 4
+        sections = {}
+        for row in range(count):
+            ident, codec, shuffled, offset, stored_size, raw_size, crc, reserved = struct.unpack_from(
+                "<4s2H3Q2I", data, 96 + 40 * row
+            )
+            start = (end + 7) // 8 * 8
+            demand(offset == start, f"{ident}: offset {offset}, not {start}")
+            demand(start + stored_size <= len(data), f"{ident}: ends beyond the file")
+            demand(not any(data[end:start]), f"{ident}: padding is not zero")
+            demand(ident not in sections, f"{ident}: twice")
+            demand(reserved == 0, f"{ident}: reserved {reserved}")
+            end = start + stored_size
+            stored = data[start:end]
+            demand(zlib.crc32(stored) == crc, f"{ident}: damaged")
+            sections[ident] = self.decode(ident, codec, shuffled, stored, raw_size)
+        demand(end == len(data), "bytes after the last section")
+        return sections
+
+    def decode(self, ident, codec, shuffled, data, raw_size):
+        demand(codec <= 1, f"{ident}: codec {codec}")
+        if codec == 1:
+            try:
+                from compression import zstd
+            except ImportError:
+                raise Refused(f"{ident}: zstd needs Python 3.14") from None
+            data = zstd.decompress(data)
+        demand(len(data) == raw_size, f"{ident}: {len(data)} bytes, not {raw_size}")
+        demand(shuffled <= 1, f"{ident}: filter {shuffled}")
+        if shuffled == 1:
+            size = (4, 2)[self.encoding] if ident == b"RSH " else ELEMENT_SIZES.get(ident)
+            demand(size and raw_size % size == 0, f"{ident}: shuffled")
+            count = raw_size // size
+            plain = bytearray(raw_size)
+            for k in range(size):
+                plain[k::size] = data[k * count : (k + 1) * count]
+            data = bytes(plain)
+        return data
+
+    def numbers(self, ident, letter, per_node, required):
+        data = self.sections.get(ident)
+        if data is None:
+            demand(not required, f"no section {ident}")
+            return None
+        count = self.node_count * per_node
+        size = struct.calcsize("<" + letter)
+        demand(len(data) == count * size, f"{ident}: {len(data)} bytes, not {count * size}")
+        return struct.unpack(f"<{count}{letter}", data)
+
+    def read_contents(self):
+        planes = 3 * (self.bands + 1) ** 2
+        self.radiance = self.numbers(b"RSH ", "fe"[self.encoding], planes, True)
+        demand(all(map(math.isfinite, self.radiance)), "RSH : not finite")
+        self.valid = self.numbers(b"VALD", "B", 1, False)
+        demand(self.valid is None or max(self.valid) <= 1, "VALD: neither 0 nor 1")
+        self.positions = self.numbers(b"POSN", "f", 3, self.kind != 0)
+        self.normals = self.numbers(b"NORM", "f", 3, self.kind == 2)
+
+    # --- light at a position ------------------------------------------------------------------------------------------
+
+    def coefficient(self, node, index, channel):
+        return self.radiance[(3 * index + channel) * self.node_count + node] * self.scale
+
+    def is_valid(self, node):
+        return self.valid is None or self.valid[node] == 1
+
+    def weights(self, position, normal):
+        """[(node, weight)] whose weights add up to 1."""
+        if self.kind == 0:
+            return self.grid_weights(position)
+        return [(self.nearest(position, normal), 1.0)]
+
+    def grid_weights(self, position):
+        axes = []
+        for p, low, high, count in zip(position, self.min, self.max, self.counts):
+            if count == 1:
+                axes.append([(0, 1.0)])
+                continue
+            if high > low:
+                t = (p - low) / (high - low) * (count - 1)
+            else:
+                t = count - 1 if p > low else 0
+            t = min(max(t, 0.0), count - 1.0) if t == t else 0.0
+            lower = min(math.floor(t), count - 2)
+            axes.append([(lower, 1 - (t - lower)), (lower + 1, t - lower)])
+        corners = []
+        for x, wx in axes[0]:
+            for y, wy in axes[1]:
+                for z, wz in axes[2]:
+                    node = x + self.counts[0] * (y + self.counts[1] * z)
+                    corners.append((node, wx * wy * wz))
+        valid = sum(weight for node, weight in corners if self.is_valid(node))
+        if valid < 1e-6:
+            return corners
+        return [(node, weight / valid) for node, weight in corners if self.is_valid(node)]
+
+    def nearest(self, position, normal):
+        # A coordinate that is no finite number counts as the box's min.
+        x, y, z = (p - low if math.isfinite(p - low) else 0.0 for p, low in zip(position, self.min))
+        places = self.positions
+        squared = [
+            (x - places[k]) ** 2 + (y - places[k + 1]) ** 2 + (z - places[k + 2]) ** 2
+            for k in range(0, len(places), 3)
+        ]
+        nearest = min(squared)
+        if self.kind == 1:
+            return squared.index(nearest)
+        radius = math.sqrt(nearest) + 1e-5 * math.dist(self.min, self.max)
+        candidates = [node for node, s in enumerate(squared) if s <= radius * radius]
+        return max(candidates, key=lambda node: sum(self.normals[3 * node + k] * normal[k] for k in range(3)))
+
+    def irradiance(self, position, normal):
+        basis = spherical_harmonics(*normal)[: (self.bands + 1) ** 2]
+        weights = self.weights(position, normal)
+        result = []
+        for channel in range(3):
+            terms = []
+            for index, value in enumerate(basis):
+                radiance = sum(weight * self.coefficient(node, index, channel) for node, weight in weights)
+                terms.append(COSINE[math.isqrt(index)] * radiance * value)
+            result.append(math.fsum(terms))
+        return result
+
+
+# --- spherical harmonics ----------------------------------------------------------------------------------------------
+
+COSINE = (PI, 2 * PI / 3, PI / 4, 0.0, -PI / 24)
+
+
+def spherical_harmonics(x, y, z):
+    def root(numerator, denominator):
+        return math.sqrt(numerator / (denominator * PI))
+
+    return [
+        root(1, 4),
+        root(3, 4) * y,
+        root(3, 4) * z,
+        root(3, 4) * x,
+        root(15, 4) * x * y,
+        root(15, 4) * y * z,
+        root(5, 16) * (3 * z**2 - 1),
+        root(15, 4) * x * z,
+        root(15, 16) * (x**2 - y**2),
+        root(35, 32) * y * (3 * x**2 - y**2),
+        root(105, 4) * x * y * z,
+        root(21, 32) * y * (5 * z**2 - 1),
+        root(7, 16) * z * (5 * z**2 - 3),
+        root(21, 32) * x * (5 * z**2 - 1),
+        root(105, 16) * z * (x**2 - y**2),
+        root(35, 32) * x * (x**2 - 3 * y**2),
+        root(315, 16) * x * y * (x**2 - y**2),
+        root(315, 32) * y * z * (3 * x**2 - y**2),
+        root(45, 16) * x * y * (7 * z**2 - 1),
+        root(45, 32) * y * z * (7 * z**2 - 3),
+        root(9, 256) * (35 * z**4 - 30 * z**2 + 3),
+        root(45, 32) * x * z * (7 * z**2 - 3),
+        root(45, 64) * (x**2 - y**2) * (7 * z**2 - 1),
+        root(315, 32) * x * z * (x**2 - 3 * y**2),
+        root(315, 256) * (x**2 * (x**2 - 3 * y**2) - y**2 * (3 * x**2 - y**2)),
+    ]
+
+
+def main():
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    try:
+        with open(sys.argv[1], "rb") as file:
+            volume = Volume(file.read())
+    except Refused as reason:
+        print(f"{sys.argv[1]}: {reason}", file=sys.stderr)
+        sys.exit(3)
+    for line in sys.stdin:
+        if not line.strip():
+            continue
+        numbers = [float(word) for word in line.split(",")]
+        position, normal = numbers[:3], numbers[3:6]
+        print(",".join(f"{value:.8e}" for value in volume.irradiance(position, normal)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+//! Writes panoramas as OpenEXR: R, G, B, optional Z, ZIP-compressed, with pose and layout in the header.
+
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use ::exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Layer, write::WritableImage};
+use ::exr::meta::attribute::{EnvironmentMap, LineOrder, Text};
+use ::exr::meta::header::LayerAttributes;
+use ::exr::prelude::{Blocks, Compression, SmallVec};
+use half::f16;
+
+use super::exr::convert_error;
+use super::pose::{self, Pose};
+use crate::panorama::{Image, Mapping};
+use crate::{Error, Finding, Result};
+
+/// How R, G and B are stored. `Z` is always 32-bit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SampleFormat {
+    /// Half floats: half the size, three digits, and 65504 is the brightest light.
+    F16,
+    /// Exact.
+    F32,
+}
+
+/// Writes `image` to `path`: first to a temporary file beside it, then renamed, so that a reader finds the whole
+/// file or none. The bytes depend on the arguments alone.
+///
+/// `mapping` must be one that EXR's attribute `envmap` can name: lat-long or cube-exr; others are `Unsupported`.
+/// Returns the finding `half-float-clipping` where F16 cut light off.
+pub fn write_exr(
+    path: &Path,
+    image: &Image,
+    pose: &Pose,
+    mapping: Mapping,
+    format: SampleFormat,
+) -> Result<Vec<Finding>> {
+    assert_eq!(image.pixels.len(), image.width * image.height, "pixels of the image");
+    assert!(!image.pixels.is_empty(), "an image needs pixels");
+    let environment_map = match mapping {
+        Mapping::LatLong => EnvironmentMap::LatitudeLongitude,
+        Mapping::CubeExr => EnvironmentMap::Cube,
+        _ => {
+            return Err(Error::unsupported(
+                path,
+                format!("EXR can name the mappings lat-long and cube-exr, not {}: convert first", mapping.name()),
+            ));
+        }
+    };
+    let mut attributes = LayerAttributes { environment_map: Some(environment_map), ..Default::default() };
+    if let Some(rotation) = pose.rotation {
+        attributes.other.insert(Text::from(pose::ROTATION), pose::rotation_value(rotation));
+    }
+    let layer = Layer::new(
+        (image.width, image.height),
+        attributes,
+        Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing },
+        AnyChannels::sort(channels(image, format)),
+    );
+    let mut file = ::exr::image::Image::from_layer(layer);
+    // The crate keeps unknown attributes in hash maps, which have no order: one attribute per map, so that two runs
+    // write the same bytes.
+    if let Some(position) = pose.position {
+        file.attributes.other.insert(Text::from(pose::POSITION), pose::position_value(position));
+    }
+
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut temporary = create_beside(folder).map_err(|e| Error::io(path, e))?;
+    let mut writer = BufWriter::new(temporary.as_file_mut());
+    file.write().to_buffered(&mut writer).map_err(|e| convert_error(path, "writing", e))?;
+    writer.flush().map_err(|e| Error::io(path, e))?;
+    drop(writer);
+    temporary.persist(path).map_err(|e| Error::io(path, e.error))?;
+    Ok(clipping(image, format))
+}
+
+fn channels(image: &Image, format: SampleFormat) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
+    let colour = |c: usize| match format {
+        // Beyond the range the largest half float, not infinity: a reader would refuse that.
+        SampleFormat::F16 => {
+            FlatSamples::F16(image.pixels.iter().map(|p| f16::from_f32(p[c].min(f16::MAX.to_f32()))).collect())
+        }
+        SampleFormat::F32 => FlatSamples::F32(image.pixels.iter().map(|p| p[c]).collect()),
+    };
+    let mut channels = SmallVec::new();
+    for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
+        channels.push(AnyChannel::new(name, colour(c)));
+    }
+    if let Some(distance) = &image.distance {
+        assert_eq!(distance.len(), image.pixels.len(), "distances of the image");
+        channels.push(AnyChannel::new("Z", FlatSamples::F32(distance.clone())));
+    }
+    channels
+}
+
+fn clipping(image: &Image, format: SampleFormat) -> Vec<Finding> {
+    let limit = f16::MAX.to_f32();
+    let clipped = image.pixels.iter().filter(|p| p.iter().any(|v| *v > limit)).count();
+    if format == SampleFormat::F32 || clipped == 0 {
+        return Vec::new();
+    }
+    let message = format!("{clipped} pixels are brighter than 65504, where half floats end, and were cut off");
+    vec![Finding::new("half-float-clipping", clipped as u64, message)]
+}
+
+/// A temporary file that will have the permissions of an ordinary one (temporary files are private by default).
+fn create_beside(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".gdibl-").suffix(".tmp");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666)); // less the umask
+    }
+    builder.tempfile_in(folder)
+}

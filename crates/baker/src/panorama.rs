@@ -1,1 +1,0 @@
-//! Lat-long panoramas and how radiance is read from them.

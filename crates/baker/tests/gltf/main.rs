@@ -1,0 +1,11 @@
+//! Reading glTF levels through the public interface.
+
+mod builder;
+mod compressed;
+mod containers;
+mod geometry;
+mod materials;
+mod mutations;
+mod nodes;
+mod refusals;
+mod shared;

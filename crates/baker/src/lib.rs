@@ -1,11 +1,27 @@
-//! Bakes irradiance volumes by Geometrically Derived Image Based Lighting.
+//! Bakes irradiance volumes by Geometrically Derived Image Based Lighting (GDIBL; K. Vestergaard, 2008).
 //!
-//! Data flows in one direction: [`import`] → [`scene`], [`panorama`] → trace → radiance → bake → volume.
-//! Only [`import`] knows files; the library never prints.
+//! Light flows in one direction through the modules:
+//!
+//! ```text
+//! import ─→ scene, panorama ─→ trace ─→ radiance ─→ bake ─→ volume ─→ .gdibl
+//!                                          ↑          ↑
+//!                                      blend rules  sampling        beside it: plan, records
+//! ```
+//! Only [`import`] reads files and only [`volume`] writes one; the library never prints. World axes are glTF's:
+//! right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance coefficients L_lm; who shades
+//! with them writes `diffuse = albedo / PI * irradiance` (see `gdibl_runtime::sh`).
 
+pub mod analyse;
+pub mod bake;
 pub mod error;
 pub mod import;
 pub mod panorama;
+pub mod plan;
+pub mod radiance;
+pub mod records;
+pub mod sampling;
 pub mod scene;
+pub mod trace;
+pub mod volume;
 
 pub use error::{Error, Finding, Result};

@@ -1,0 +1,297 @@
+//! From a radiance function and nodes to baked coefficients: samples every node, stops it, fills invalid ones.
+//!
+//! Parallel over nodes; every result has its own place, so bytes do not depend on the number of threads.
+
+mod directions;
+mod integrate;
+mod nodes;
+
+use gdibl_runtime::sh;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+pub use integrate::Proposal;
+use integrate::{Integrator, NodeEstimate};
+pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
+
+use crate::radiance::{PathContext, Radiance};
+use crate::sampling::Sampler;
+use integrate::Sequence;
+
+/// How to bake.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BakeSettings {
+    /// Highest SH band, 0..=4.
+    pub bands: u32,
+    /// Directions per node; with a target the most a node may take. At least 1, at most 2^31.
+    pub samples: u64,
+    /// Stop a node once its `relative_error` is at most this.
+    pub target_error: Option<f64>,
+    /// Same seed, same bytes.
+    pub seed: u64,
+    /// Where directions come from.
+    pub sampler: Sampler,
+}
+
+impl Default for BakeSettings {
+    fn default() -> Self {
+        BakeSettings { bands: 2, samples: 4096, target_error: None, seed: 0, sampler: Sampler::Sobol }
+    }
+}
+
+impl BakeSettings {
+    /// The cap of `samples` when a target is given and nothing else is said.
+    pub const TARGET_SAMPLES: u64 = 65_536;
+    /// The most samples of one node.
+    pub const MAX_SAMPLES: u64 = 1 << 31;
+}
+
+/// Lets a caller watch a bake and stop it.
+pub struct Control<'a> {
+    /// Set it to stop: the bake returns [`Interrupted`] at the next node.
+    pub cancel: &'a AtomicBool,
+    /// Called from worker threads with (nodes finished, rays traced) since the last call.
+    pub progress: &'a (dyn Fn(u64, u64) + Sync),
+}
+
+/// The caller cancelled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interrupted;
+
+/// A baked volume in memory. Per-node arrays are in node order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Baked {
+    /// Highest SH band.
+    pub bands: u32,
+    /// Radiance coefficients, `[node][coefficient][rgb]` flat.
+    pub sh: Vec<f32>,
+    /// False: no direction was covered; the coefficients come from neighbours.
+    pub valid: Vec<bool>,
+    /// Share of the sphere that was covered, 0..=1.
+    pub coverage: Vec<f32>,
+    /// Standard error of E over the larger of the node's RMS of E and a tenth of the volume's median; 0 for
+    /// invalid nodes, infinite where one sample gave none.
+    pub relative_error: Vec<f32>,
+    /// Rays traced, lines of sight included.
+    pub rays: u64,
+    /// Directions that left nodes.
+    pub samples: u64,
+    /// Valid nodes over the target error.
+    pub missed: u64,
+}
+
+impl Baked {
+    /// Coefficients of one node, `[coefficient][rgb]` flat.
+    pub fn node(&self, index: usize) -> &[f32] {
+        let stride = 3 * sh::coefficient_count(self.bands);
+        &self.sh[index * stride..(index + 1) * stride]
+    }
+}
+
+/// Bytes that a bake of `nodes` nodes takes at its peak: coefficients, figures, and the packed file beside them.
+pub fn memory_needed(nodes: u64, settings: &BakeSettings) -> u64 {
+    let coefficients = 3 * sh::coefficient_count(settings.bands) as u64;
+    let per_node = coefficients * 4 + size_of::<Summary>() as u64 + 24 + 2 * (coefficients * 4 + 24);
+    nodes.saturating_mul(per_node)
+}
+
+/// Samples of the pilot that finds the median irradiance, and of the first round of adaptive sampling.
+const PILOT_SAMPLES: u64 = 256;
+
+/// Bakes every node. `radiance(node, direction, context)` is L(x_node, ω); `proposal` chooses the directions.
+pub fn bake(
+    nodes: &Nodes,
+    proposal: &impl Proposal,
+    radiance: &(impl Fn(usize, Vec3, &mut PathContext) -> Radiance + Sync),
+    settings: &BakeSettings,
+    control: &Control,
+) -> Result<Baked, Interrupted> {
+    assert!(settings.bands <= sh::MAX_BANDS, "bands {} of at most {}", settings.bands, sh::MAX_BANDS);
+    assert!((1..=BakeSettings::MAX_SAMPLES).contains(&settings.samples), "samples {}", settings.samples);
+    let median = match settings.target_error {
+        Some(_) if settings.samples > PILOT_SAMPLES => Some(pilot(nodes, proposal, radiance, settings, control)?),
+        _ => None,
+    };
+    let enough = |done: u64, estimate: Option<&NodeEstimate>| match (settings.target_error, median, estimate) {
+        (Some(_), Some(_), None) => PILOT_SAMPLES,
+        (Some(target), Some(median), Some(estimate)) => {
+            let relative = relative_error(estimate, median);
+            // Double until the target is met.
+            if relative <= target { done } else { (2 * done).min(settings.samples) }
+        }
+        _ => settings.samples,
+    };
+    let baked = sample_nodes(nodes, proposal, radiance, settings, control, enough)?;
+    let Sampled { sh, estimates, rays, samples } = baked;
+    let valid: Vec<bool> = estimates.iter().map(|e| e.coverage > 0.0).collect();
+    let median = median.unwrap_or_else(|| median_irradiance(&estimates));
+    let relative = |e: &Summary| if e.coverage > 0.0 { e.relative_error(median) as f32 } else { 0.0 };
+    let relative_error: Vec<f32> = estimates.iter().map(relative).collect();
+    let target = settings.target_error.unwrap_or(f64::INFINITY) as f32;
+    let mut baked = Baked {
+        bands: settings.bands,
+        sh,
+        coverage: estimates.iter().map(|e| e.coverage as f32).collect(),
+        missed: relative_error.iter().filter(|e| **e > target).count() as u64,
+        relative_error,
+        valid,
+        rays,
+        samples,
+    };
+    fill_invalid(nodes, &mut baked);
+    Ok(baked)
+}
+
+/// Median RMS of E over the nodes, from a few samples each: the floor of relative errors.
+fn pilot(
+    nodes: &Nodes,
+    proposal: &impl Proposal,
+    radiance: &(impl Fn(usize, Vec3, &mut PathContext) -> Radiance + Sync),
+    settings: &BakeSettings,
+    control: &Control,
+) -> Result<f64, Interrupted> {
+    let silent = Control { cancel: control.cancel, progress: &|_, _| {} };
+    let sampled = sample_nodes(nodes, proposal, radiance, settings, &silent, |_, _| PILOT_SAMPLES)?;
+    Ok(median_irradiance(&sampled.estimates))
+}
+
+/// What is kept of a node besides its coefficients.
+#[derive(Debug, Clone, Copy, Default)]
+struct Summary {
+    standard_error: f64,
+    rms_irradiance: f64,
+    coverage: f64,
+}
+
+impl Summary {
+    fn relative_error(&self, median: f64) -> f64 {
+        let floor = self.rms_irradiance.max(0.1 * median);
+        // All black: nothing is wrong with it.
+        if self.standard_error == 0.0 { 0.0 } else { self.standard_error / floor }
+    }
+}
+
+fn relative_error(estimate: &NodeEstimate, median: f64) -> f64 {
+    Summary::from(estimate).relative_error(median)
+}
+
+impl From<&NodeEstimate> for Summary {
+    fn from(e: &NodeEstimate) -> Self {
+        Summary { standard_error: e.standard_error, rms_irradiance: e.rms_irradiance, coverage: e.coverage }
+    }
+}
+
+fn median_irradiance(estimates: &[Summary]) -> f64 {
+    let mut valid: Vec<f64> = estimates.iter().filter(|e| e.coverage > 0.0).map(|e| e.rms_irradiance).collect();
+    if valid.is_empty() {
+        return 0.0;
+    }
+    let middle = valid.len() / 2;
+    *valid.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+struct Sampled {
+    sh: Vec<f32>,
+    estimates: Vec<Summary>,
+    rays: u64,
+    samples: u64,
+}
+
+fn sample_nodes(
+    nodes: &Nodes,
+    proposal: &impl Proposal,
+    radiance: &(impl Fn(usize, Vec3, &mut PathContext) -> Radiance + Sync),
+    settings: &BakeSettings,
+    control: &Control,
+    enough: impl Fn(u64, Option<&NodeEstimate>) -> u64 + Sync,
+) -> Result<Sampled, Interrupted> {
+    let stride = 3 * sh::coefficient_count(settings.bands);
+    let mut coefficients = vec![0.0f32; stride * nodes.len()];
+    let mut estimates = vec![Summary::default(); nodes.len()];
+    let (rays, samples) = (AtomicU64::new(0), AtomicU64::new(0));
+    let cancelled = || control.cancel.load(Ordering::Relaxed);
+    let places = coefficients.par_chunks_exact_mut(stride).zip(estimates.par_iter_mut()).enumerate();
+    places.with_max_len(8).try_for_each_init(
+        || Integrator::new(settings.bands),
+        |integrator, (index, (out, summary))| {
+            let (mut own_rays, mut own_samples) = (0, 0);
+            let estimate = integrator.integrate(
+                Sequence { sampler: settings.sampler, seed: settings.seed, node: index as u64 },
+                proposal,
+                &mut own_rays,
+                // A node may take minutes: its rays stop, too.
+                |direction, context| (!cancelled()).then(|| radiance(index, direction, context)),
+                |done, estimate| {
+                    own_samples = enough(done, estimate).max(done);
+                    own_samples
+                },
+            )?;
+            for (value, sum) in out.chunks_exact_mut(3).zip(&estimate.sh) {
+                value.copy_from_slice(&sum.map(|s| s as f32));
+            }
+            *summary = Summary::from(&estimate);
+            rays.fetch_add(own_rays, Ordering::Relaxed);
+            samples.fetch_add(own_samples, Ordering::Relaxed);
+            (control.progress)(1, own_rays);
+            Ok(())
+        },
+    )?;
+    Ok(Sampled { sh: coefficients, estimates, rays: rays.into_inner(), samples: samples.into_inner() })
+}
+
+/// Invalid nodes take the light of valid ones: on a grid layer by layer from their neighbours' mean, elsewhere
+/// from the nearest. If none is valid they stay black, and the caller has to say so.
+fn fill_invalid(nodes: &Nodes, baked: &mut Baked) {
+    if baked.valid.iter().all(|v| *v) || !baked.valid.iter().any(|v| *v) {
+        return;
+    }
+    let stride = 3 * sh::coefficient_count(baked.bands);
+    let mut known = baked.valid.clone();
+    if let Nodes::Grid(grid) = nodes {
+        let [nx, ny, nz] = grid.counts.map(|c| c as usize);
+        let neighbours = |index: usize| {
+            let (x, y, z) = (index % nx, index / nx % ny, index / nx / ny);
+            let mut list = [None; 6];
+            list[0] = (x > 0).then(|| index - 1);
+            list[1] = (x + 1 < nx).then_some(index + 1);
+            list[2] = (y > 0).then(|| index - nx);
+            list[3] = (y + 1 < ny).then_some(index + nx);
+            list[4] = (z > 0).then(|| index - nx * ny);
+            list[5] = (z + 1 < nz).then_some(index + nx * ny);
+            list.into_iter().flatten()
+        };
+        // Each layer reads the one before alone, so order does not matter.
+        let mut front: Vec<usize> = (0..nodes.len()).filter(|&i| !known[i]).collect();
+        while !front.is_empty() {
+            let (layer, rest): (Vec<usize>, Vec<usize>) = front.iter().partition(|&&i| neighbours(i).any(|n| known[n]));
+            let filled: Vec<Vec<f32>> = layer
+                .iter()
+                .map(|&index| {
+                    let mut mean = vec![0.0f32; stride];
+                    let mut count = 0.0;
+                    for n in neighbours(index).filter(|&n| known[n]) {
+                        mean.iter_mut().zip(baked.node(n)).for_each(|(m, v)| *m += v);
+                        count += 1.0;
+                    }
+                    mean.iter_mut().for_each(|m| *m /= count);
+                    mean
+                })
+                .collect();
+            for (&index, values) in layer.iter().zip(filled) {
+                baked.sh[index * stride..(index + 1) * stride].copy_from_slice(&values);
+                known[index] = true;
+            }
+            front = rest;
+        }
+    } else {
+        let valid: Vec<usize> = (0..nodes.len()).filter(|&i| known[i]).collect();
+        for index in (0..nodes.len()).filter(|&i| !known[i]) {
+            let here = nodes.position(index);
+            let distance = |i: &usize| nodes.position(*i).distance_squared(here);
+            let nearest = valid.iter().copied().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            let nearest = nearest.expect("some node is valid");
+            baked.sh.copy_within(nearest * stride..(nearest + 1) * stride, index * stride);
+        }
+    }
+}

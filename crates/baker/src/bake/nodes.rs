@@ -1,0 +1,148 @@
+//! Where irradiance is baked: a grid, the level's vertices, or listed points.
+
+use gdibl_runtime::grid::Grid;
+use glam::{DVec3, Vec3};
+
+use crate::scene::{Mesh, Scene};
+use crate::trace::Frame;
+
+/// Vertices, and grid nodes in the walls of the level's box, leave their surface by this share of half the level's size (see `trace::Frame`): enough for f32 rays
+/// to start in the open, a tenth of a millimetre in a room.
+const VERTEX_OFFSET: f32 = 5e-3;
+
+/// The nodes of a volume.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Nodes {
+    /// Lattice, x fastest.
+    Grid(Grid),
+    /// Positions, world metres.
+    Points(Vec<DVec3>),
+    /// Every vertex of every mesh that keeps one.
+    Vertices {
+        /// World positions, metres, on the surface.
+        positions: Vec<DVec3>,
+        /// World unit normals.
+        normals: Vec<Vec3>,
+        /// Mean of the unit directions from the vertex to the middles of its triangles; zero where they surround it.
+        inward: Vec<Vec3>,
+        /// Which mesh they belong to.
+        sets: Vec<VertexSet>,
+    },
+}
+
+/// The vertices of one primitive of one glTF node, in the file's order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct VertexSet {
+    /// glTF node index.
+    pub node: u32,
+    /// glTF mesh index.
+    pub mesh: u32,
+    /// Primitive index within the mesh.
+    pub primitive: u32,
+    /// First entry.
+    pub first: u32,
+    /// Number of entries.
+    pub count: u32,
+}
+
+impl Nodes {
+    /// All vertices of the level, with their normals.
+    pub fn vertices_of(scene: &Scene) -> Nodes {
+        let (mut positions, mut normals, mut inward, mut sets) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for mesh in &scene.meshes {
+            sets.push(VertexSet {
+                node: mesh.node,
+                mesh: mesh.mesh,
+                primitive: mesh.primitive,
+                first: positions.len() as u32,
+                count: mesh.positions.len() as u32,
+            });
+            positions.extend_from_slice(&mesh.positions);
+            normals.extend_from_slice(&mesh.normals);
+            inward.extend(directions_inward(mesh));
+        }
+        Nodes::Vertices { positions, normals, inward, sets }
+    }
+
+    /// How many.
+    pub fn len(&self) -> usize {
+        match self {
+            Nodes::Grid(grid) => grid.node_count(),
+            Nodes::Points(positions) | Nodes::Vertices { positions, .. } => positions.len(),
+        }
+    }
+
+    /// No node at all.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// World position of a node, metres.
+    pub fn position(&self, index: usize) -> DVec3 {
+        match self {
+            Nodes::Grid(grid) => DVec3::from(grid.node_position(index)),
+            Nodes::Points(positions) | Nodes::Vertices { positions, .. } => positions[index],
+        }
+    }
+
+    /// Where the rays of a node start, trace units.
+    pub fn ray_origin(&self, index: usize, frame: &Frame) -> Vec3 {
+        let position = frame.to_trace(self.position(index));
+        match self {
+            // Inward, too: a corner of the floor lies exactly in the planes of two walls, and half of the rays from
+            // there would leave the room through them.
+            Nodes::Vertices { normals, inward, .. } => position + (normals[index] + inward[index]) * VERTEX_OFFSET,
+            // The outermost nodes of a grid over the whole level lie exactly in its walls.
+            Nodes::Grid(_) => frame.off_the_walls(position, VERTEX_OFFSET),
+            Nodes::Points(_) => position,
+        }
+    }
+}
+
+/// `inward` of [`Nodes::Vertices`] for one mesh.
+fn directions_inward(mesh: &Mesh) -> Vec<Vec3> {
+    let mut sums = vec![(DVec3::ZERO, 0.0); mesh.positions.len()];
+    for triangle in &mesh.triangles {
+        let corners = triangle.map(|i| mesh.positions[i as usize]);
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        for (&vertex, corner) in triangle.iter().zip(corners) {
+            let (sum, count) = &mut sums[vertex as usize];
+            *sum += (middle - corner).normalize_or_zero();
+            *count += 1.0;
+        }
+    }
+    sums.into_iter().map(|(sum, count)| (sum / f64::max(count, 1.0)).as_vec3()).collect()
+}
+
+/// A grid over a box: `counts` nodes per axis, the first on `min`, the last on `max`; one node on a flat axis.
+pub fn grid_of_counts(min: DVec3, max: DVec3, counts: [u32; 3]) -> Grid {
+    let size = max - min;
+    let counts = [0, 1, 2].map(|axis| if size[axis] > 0.0 { counts[axis] } else { 1 });
+    Grid { min: min.into(), max: max.into(), counts }
+}
+
+/// A grid over a box with nodes at most `spacing` metres apart; the spacing shrinks per axis to fit.
+pub fn grid_of_spacing(min: DVec3, max: DVec3, spacing: f64) -> Grid {
+    let size = max - min;
+    let counts = [0, 1, 2].map(|axis| {
+        // A spacing that divides the box must not gain a node by rounding.
+        let cells = (size[axis] / spacing - 1e-9).ceil().clamp(0.0, f64::from(u32::MAX - 1));
+        cells as u32 + 1
+    });
+    grid_of_counts(min, max, counts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spacing_shrinks_to_fit_and_flat_axes_have_one_node() {
+        let grid = grid_of_spacing(DVec3::ZERO, DVec3::new(2.0, 0.0, 6.1), 0.2);
+        assert_eq!(grid.counts, [11, 1, 32]);
+        let grid = grid_of_spacing(DVec3::new(-1.0, 0.0, -3.0), DVec3::new(1.0, 2.0, 3.0), 0.2);
+        assert_eq!(grid.counts, [11, 11, 31]);
+        assert_eq!(grid_of_spacing(DVec3::ONE, DVec3::ONE, 0.5).counts, [1, 1, 1]);
+        assert_eq!(grid_of_spacing(DVec3::ZERO, DVec3::ONE, 1e-30).counts[0], u32::MAX);
+    }
+}

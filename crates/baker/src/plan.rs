@@ -1,0 +1,74 @@
+//! What a bake does and what it leaves out, decided from the inputs before the first ray, with the reason.
+
+use crate::radiance::gdibl::{Gdibl, SceneHit};
+use crate::scene::{Alpha, Role, Scene};
+
+/// One stage of the bake.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize, bincode::Encode, bincode::Decode)]
+pub struct PlanRow {
+    /// Stable name of the stage.
+    pub stage: String,
+    /// Done, or left out.
+    pub kept: bool,
+    /// One sentence.
+    pub why: String,
+}
+
+impl PlanRow {
+    fn new(stage: &str, kept: bool, why: impl Into<String>) -> PlanRow {
+        PlanRow { stage: stage.into(), kept, why: why.into() }
+    }
+}
+
+/// The plan of a GDIBL bake.
+pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
+    let environment = scene.triangle_count(Role::Environment);
+    let objects = scene.triangle_count(Role::Scene);
+    let probes = function.probe_count();
+    let clear = |role| {
+        let of_role = scene.meshes.iter().filter(|m| m.role == role);
+        of_role.filter(|m| scene.materials[m.material as usize].alpha != Alpha::Opaque).count()
+    };
+    let clear = clear(Role::Environment) + clear(Role::Scene);
+    let textures = scene.textures.len();
+    vec![
+        match textures {
+            0 => PlanRow::new("textures", false, "no material that light depends on has one"),
+            n => PlanRow::new("textures", true, format!("{n} decoded: alpha, scene geometry, or what it shades")),
+        },
+        match environment {
+            0 => PlanRow::new("environment", false, "no triangle: plain image based lighting"),
+            n => PlanRow::new("environment", true, format!("{n} triangles carry the probes' light")),
+        },
+        match (environment, probes) {
+            (0, _) => PlanRow::new("lines-of-sight", false, "no environment geometry could block one"),
+            (_, 0) => PlanRow::new("lines-of-sight", false, "no probe"),
+            (_, n) => PlanRow::new("lines-of-sight", true, format!("from surfaces to {n} probes")),
+        },
+        match probes {
+            0 => PlanRow::new("blending", false, "no probe"),
+            1 => PlanRow::new("blending", false, "one probe: its pixels count alone"),
+            n => PlanRow::new("blending", true, format!("{} of {n} probes", function.blend_rule())),
+        },
+        match (function.has_distant(), probes) {
+            (true, _) => PlanRow::new("distant", true, "rays that hit nothing read the distant panorama"),
+            (false, 0) => PlanRow::new("distant", false, "no distant panorama and no probe"),
+            (false, _) => PlanRow::new("distant", false, "no distant panorama: rays that hit nothing ask the probes"),
+        },
+        match (objects, function.scene_hit()) {
+            (0, _) => PlanRow::new("recursion", false, "no scene geometry"),
+            (n, SceneHit::Recurse(depth)) => PlanRow::new(
+                "recursion",
+                true,
+                format!("{n} triangles reflect, up to {depth} in a row, and shade the environment"),
+            ),
+            (n, SceneHit::Occlude) => {
+                PlanRow::new("recursion", false, format!("{n} triangles only occlude (asked for)"))
+            }
+        },
+        match clear {
+            0 => PlanRow::new("transparency", false, "every material is opaque"),
+            n => PlanRow::new("transparency", true, format!("{n} meshes have holes or let light through")),
+        },
+    ]
+}

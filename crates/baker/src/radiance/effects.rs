@@ -1,0 +1,126 @@
+//! What scene geometry does to the light of the environment, remembered per texel of surface.
+//!
+//! The effect of a surface point does not depend on who looks, so it is found once: with a walk per query ray the
+//! box with three spheres had 4 % median error at 4096 directions, with texels 1 %. A texel belongs to one side of
+//! one triangle and is filled when first asked for, from random numbers of its own: the result does not depend on
+//! who asks first.
+
+use glam::{Vec2, Vec3};
+use std::sync::OnceLock;
+
+use crate::trace::{Hit, Surfaces};
+
+/// Edge of a texel as a share of the level's size. Shadows of furniture are wider than a thirtieth of a room.
+const TEXEL: f32 = 1.0 / 32.0;
+/// Walks of a texel of full size; smaller ones have fewer, by area, because more of them share in a node's light. A
+/// node sees hundreds of texels, so their noise averages out; 512 walks made the test of the laws 30 times slower.
+const WALKS: f32 = 64.0;
+/// Fewest walks of a texel.
+const FEWEST_WALKS: u32 = 4;
+/// Most subdivisions of a triangle's edge.
+const MOST_PARTS: u32 = 64;
+
+/// Texels of one side of a triangle, made when it is first hit, each filled when it is first hit.
+type Side = OnceLock<Box<[OnceLock<Vec3>]>>;
+
+/// Effects per side of every environment triangle.
+#[derive(Debug)]
+pub struct EffectCache {
+    edge: f32,
+    sides: Vec<[Side; 2]>,
+}
+
+/// A part of a triangle to be filled.
+#[derive(Debug, Clone, Copy)]
+pub struct Texel {
+    /// Its number within the triangle.
+    pub index: u32,
+    /// Random walks that make its mean.
+    pub walks: u32,
+    parts: u32,
+}
+
+impl EffectCache {
+    /// Empty texels for all triangles of `environment`.
+    pub fn new(environment: &Surfaces) -> EffectCache {
+        let all = || (0..environment.len() as u32).flat_map(|t| environment.corners(t));
+        let (min, max) = all().fold((Vec3::MAX, Vec3::MIN), |(min, max), c| (min.min(*c), max.max(*c)));
+        let sides = (0..environment.len()).map(|_| Default::default()).collect();
+        EffectCache { edge: (max - min).max_element() * TEXEL, sides }
+    }
+
+    /// The effect at `hit`; `fill` is called for the first query of each texel.
+    pub fn lookup(&self, environment: &Surfaces, hit: &Hit, fill: impl FnOnce(Texel) -> Vec3) -> Vec3 {
+        let [a, b, c] = *environment.corners(hit.triangle);
+        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        let parts = ((longest / self.edge).ceil() as u32).clamp(1, MOST_PARTS);
+        let side = &self.sides[hit.triangle as usize][usize::from(hit.back)];
+        let texels = side.get_or_init(|| (0..2 * parts * parts).map(|_| OnceLock::new()).collect());
+        let index = texel_at(hit.barycentric, parts);
+        *texels[index as usize].get_or_init(|| {
+            let area = 0.5 * (b - a).cross(c - a).length() / (parts * parts) as f32;
+            let walks = (WALKS * area / (0.5 * self.edge * self.edge)) as u32;
+            fill(Texel { index, walks: walks.clamp(FEWEST_WALKS, WALKS as u32), parts })
+        })
+    }
+}
+
+/// The triangle is cut into `parts`² like ones. In column i of row j the texel that stands like the triangle has
+/// number 2(j·parts + i), the one upside down the next.
+///
+/// ```text
+///   w │\
+///     │_\        parts = 2
+///     │\ |\
+///     │_\|_\ v
+/// ```
+fn texel_at(barycentric: Vec2, parts: u32) -> u32 {
+    let last = parts - 1;
+    let scaled = barycentric.clamp(Vec2::ZERO, Vec2::ONE) * parts as f32;
+    let (i, j) = ((scaled.x as u32).min(last), (scaled.y as u32).min(last));
+    let inverted = scaled.x - i as f32 + scaled.y - j as f32 > 1.0 && i + j < last;
+    2 * (j * parts + i) + u32::from(inverted)
+}
+
+impl Texel {
+    /// Barycentric place, uniform over the texel for a uniform point.
+    pub fn place(&self, point: [f32; 2]) -> Vec2 {
+        // Fold the square onto the triangle v + w <= 1.
+        let mut local = Vec2::from(point);
+        if local.x + local.y > 1.0 {
+            local = Vec2::ONE - local;
+        }
+        if self.index % 2 == 1 {
+            local = Vec2::ONE - local;
+        }
+        let cell = self.index / 2;
+        (Vec2::new((cell % self.parts) as f32, (cell / self.parts) as f32) + local) / self.parts as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::{Sampler, Stream};
+
+    #[test]
+    fn places_of_a_texel_lie_in_it() {
+        let stream = Stream::new(Sampler::Sobol, 0, 0, 0);
+        for parts in [1, 2, 3, 7, 64] {
+            let mut seen = std::collections::BTreeSet::new();
+            for sample in 0..20_000 {
+                let [a, b] = stream.point(sample, 0);
+                let (v, w) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
+                let index = texel_at(Vec2::new(v, w), parts);
+                seen.insert(index);
+                let texel = Texel { index, walks: 1, parts };
+                let place = texel.place(stream.point(sample, 1));
+                assert!(place.x >= 0.0 && place.y >= 0.0 && place.x + place.y <= 1.0 + 1e-5, "{place}");
+                // Rounding may carry a place onto the border.
+                let inward = place.lerp(texel.place([1.0 / 3.0, 1.0 / 3.0]), 1e-3);
+                assert_eq!(texel_at(inward, parts), index, "{place} of {parts}");
+            }
+            assert_eq!(seen.len() as u32, parts * parts, "parts² texels cover the triangle");
+        }
+    }
+}

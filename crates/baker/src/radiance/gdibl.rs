@@ -1,0 +1,424 @@
+//! GDIBL's radiance function: trace, then ask the probes that see the hit.
+//!
+//! Based on: K. Vestergaard, "Geometrically Derived Image Based Lighting", Aalborg University, 2008, Algorithm 1.
+//! Departures, each with its reason: blend rules (see [`blend`](super::blend)); lines of sight start a few ulps off
+//! the surface instead of a share of the ray's length (that made thin walls leak); partly clear surfaces divide a
+//! ray; uncovered directions are filled by the integrator, so that the result does not depend on the order of rays.
+
+use glam::{DVec3, Mat3, Quat, Vec3};
+
+use super::blend::{BlendRule, NEGLIGIBLE, View};
+use super::effects::EffectCache;
+use super::{PathContext, Radiance};
+use crate::bake::Proposal;
+use crate::panorama::{Importance, Panorama};
+use crate::sampling::{Sampler, Stream, cosine_hemisphere, uniform_sphere};
+use crate::scene::{Role, Scene};
+use crate::trace::{Frame, Hit, Surfaces};
+
+/// A light probe, placed in the world.
+#[derive(Debug, Clone)]
+pub struct Probe {
+    /// Where to find it again: the file's name.
+    pub name: String,
+    /// World position, metres.
+    pub position: DVec3,
+    /// Probe to world.
+    pub rotation: Quat,
+    /// Radiance = pixel × 2^exposure_stops.
+    pub exposure_stops: f32,
+    /// The image.
+    pub panorama: Panorama,
+}
+
+/// A panorama at infinity.
+#[derive(Debug, Clone)]
+pub struct Distant {
+    /// Where to find it again: the file's name.
+    pub name: String,
+    /// Panorama to world.
+    pub rotation: Quat,
+    /// Radiance = pixel × 2^exposure_stops.
+    pub exposure_stops: f32,
+    /// The image.
+    pub panorama: Panorama,
+}
+
+/// What a ray does at scene geometry.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SceneHit {
+    /// One continuation ray per hit, at most this many in a row; then uncovered.
+    Recurse(u32),
+    /// Black: the report's listing. Backs of single-sided triangles (the inside of a solid) are uncovered.
+    Occlude,
+}
+
+impl Default for SceneHit {
+    fn default() -> Self {
+        SceneHit::Recurse(3)
+    }
+}
+
+/// How the radiance function works.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct GdiblSettings {
+    /// How probes that see a point share it.
+    pub blend: BlendRule,
+    /// What rays do at scene geometry.
+    pub scene_hit: SceneHit,
+    /// Of the random walks that find what scene geometry does to the environment; the bake's.
+    pub seed: u64,
+}
+
+/// Partly clear surfaces that one ray may cross; past them the rest of the ray counts as uncovered.
+const MAX_LAYERS: u32 = 64;
+/// A ray that has lost all but this share is not followed further.
+const CLEAR_ENOUGH: f32 = 1.0 / 1024.0;
+
+/// Share of directions that are uniform over the sphere; the others follow the distant panorama. Half: the weight
+/// of no direction exceeds two, whatever hides the bright ones from a node.
+const UNIFORM_SHARE: f32 = 0.5;
+
+/// Where a path of a sample stands.
+#[derive(Debug, Clone, Copy, Default)]
+struct Walk {
+    /// Continuation rays so far: each has its own pair of random numbers.
+    step: u32,
+    /// Scene geometry hit so far, in a row.
+    objects: u32,
+    /// It fills a texel of effects, and must not ask for texels: its own may be among them.
+    in_texel: bool,
+}
+
+/// No walk goes further: with white walls a 2^-32th of the light would be left.
+const MAX_STEPS: u32 = 32;
+/// Streams of texels stand apart from those of nodes.
+const TEXEL_STREAMS: u64 = 1 << 63;
+/// Random numbers of the roulette come after those of the directions.
+const ROULETTE: u32 = 2 * MAX_STEPS;
+
+/// A probe as the function uses it: in trace space, rotation turned round.
+#[derive(Debug)]
+struct PlacedProbe {
+    position: Vec3,
+    to_local: Mat3,
+    gain: f32,
+    pixels: f32,
+}
+
+/// The function, ready to be called from any thread.
+#[derive(Debug)]
+pub struct Gdibl<'a> {
+    scene: &'a Scene,
+    frame: Frame,
+    environment: Option<Surfaces>,
+    objects: Option<Surfaces>,
+    probes: &'a [Probe],
+    placed: Vec<PlacedProbe>,
+    distant: Option<&'a Distant>,
+    distant_to_local: Mat3,
+    distant_gain: f32,
+    importance: Option<Importance>,
+    settings: GdiblSettings,
+    effects: Option<EffectCache>,
+}
+
+/// Memory reused from ray to ray.
+#[derive(Debug, Default)]
+pub struct Scratch {
+    /// Probes on the right side of the surface, best first.
+    candidates: Vec<(f32, u32)>,
+    merits: Vec<f32>,
+    seen: Vec<(Vec3, f32)>,
+    weights: Vec<f32>,
+}
+
+impl<'a> Gdibl<'a> {
+    /// Builds the hierarchies. `scene` must outlive the function; its non-finite triangles are already dropped.
+    pub fn new(
+        scene: &'a Scene,
+        probes: &'a [Probe],
+        distant: Option<&'a Distant>,
+        settings: GdiblSettings,
+    ) -> Gdibl<'a> {
+        let frame = scene.bounds(|_| true).map_or_else(Frame::default, |(min, max)| Frame::of_bounds(min, max));
+        let placed = probes.iter().map(|probe| PlacedProbe {
+            position: frame.to_trace(probe.position),
+            to_local: Mat3::from_quat(probe.rotation.inverse()),
+            gain: probe.exposure_stops.exp2(),
+            pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
+        });
+        let environment = Surfaces::new(scene, Role::Environment, &frame);
+        let objects = Surfaces::new(scene, Role::Scene, &frame);
+        let effects = match (&environment, &objects, settings.scene_hit) {
+            (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment)),
+            _ => None,
+        };
+        Gdibl {
+            scene,
+            frame,
+            environment,
+            objects,
+            probes,
+            placed: placed.collect(),
+            distant,
+            distant_to_local: distant.map_or(Mat3::IDENTITY, |d| Mat3::from_quat(d.rotation.inverse())),
+            distant_gain: distant.map_or(1.0, |d| d.exposure_stops.exp2()),
+            importance: distant.and_then(|d| Importance::new(&d.panorama)),
+            settings,
+            effects,
+        }
+    }
+
+    /// World ↔ trace positions.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// Rays leave nodes toward what is bright at infinity, too.
+    pub fn has_importance(&self) -> bool {
+        self.importance.is_some()
+    }
+
+    /// How many probes may lend light.
+    pub fn probe_count(&self) -> usize {
+        self.probes.len()
+    }
+
+    /// A distant panorama lights what escapes.
+    pub fn has_distant(&self) -> bool {
+        self.distant.is_some()
+    }
+
+    /// The rule in force.
+    pub fn blend_rule(&self) -> BlendRule {
+        self.settings.blend
+    }
+
+    /// What rays do at scene geometry.
+    pub fn scene_hit(&self) -> SceneHit {
+        self.settings.scene_hit
+    }
+
+    /// Radiance that arrives at `origin` (trace space) from unit `direction`.
+    pub fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
+        self.radiance_along(origin, direction, Walk::default(), context)
+    }
+
+    /// 1. The nearest hit wins; what a partly clear surface lets through goes on.
+    fn radiance_along(&self, origin: Vec3, direction: Vec3, walk: Walk, context: &mut PathContext) -> Radiance {
+        let mut sum = Radiance::UNCOVERED;
+        let mut clear = 1.0;
+        let mut passed = 0.0;
+        for _ in 0..MAX_LAYERS {
+            context.rays += 1;
+            let near =
+                self.environment.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, f32::INFINITY));
+            let limit = near.map_or(f32::INFINITY, |hit| hit.t);
+            let object = self.objects.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, limit));
+            let (part, opacity, t) = match (object, near) {
+                (Some(hit), _) => (self.object_radiance(&hit, walk, context), hit.opacity, hit.t),
+                (None, Some(hit)) => {
+                    let mut part = self.environment_radiance(&hit, origin, context);
+                    part.value += self.effect(&hit, walk, context) * part.coverage;
+                    (part, hit.opacity, hit.t)
+                }
+                (None, None) => (self.escaping_radiance(direction, context), 1.0, 0.0),
+            };
+            sum.value += part.value * (clear * opacity);
+            sum.coverage += part.coverage * (clear * opacity);
+            clear *= 1.0 - opacity;
+            if clear < CLEAR_ENOUGH {
+                break;
+            }
+            passed = t;
+        }
+        sum
+    }
+
+    /// 2. Scene geometry: no probe has seen it. It glows, and reflects what one more ray finds. The report ends at
+    ///    its depth in black; here the rest is uncovered, and so filled.
+    fn object_radiance(&self, hit: &Hit, walk: Walk, context: &mut PathContext) -> Radiance {
+        let objects = self.objects.as_ref().expect("an object was hit");
+        let SceneHit::Recurse(limit) = self.settings.scene_hit else {
+            // The inside of a solid is not dark, it is nowhere.
+            let inside = hit.back && !objects.material(self.scene, hit.triangle).double_sided;
+            return if inside { Radiance::UNCOVERED } else { Radiance::covered(Vec3::ZERO) };
+        };
+        let emission = objects.emission(self.scene, hit);
+        let albedo = objects.albedo(self.scene, hit);
+        if albedo == Vec3::ZERO {
+            return Radiance::covered(emission);
+        }
+        if walk.objects >= limit {
+            // What it reflects is unknown, not black: so nodes inside a solid are invalid instead of dark.
+            return Radiance { value: emission, coverage: 0.0 };
+        }
+        // ∫ albedo/π · L · cosθ dω with density cosθ/π: albedo × L of one direction.
+        let walk = Walk { step: walk.step + 1, objects: walk.objects + 1, ..walk };
+        let direction = cosine_hemisphere(hit.normal, context.stream.point(context.sample, walk.step));
+        let arriving = self.radiance_along(objects.leave(hit), direction, walk, context);
+        Radiance { value: emission + albedo * arriving.value, coverage: arriving.coverage }
+    }
+
+    /// 3. Environment geometry: the probes that see the point lend their pixels.
+    fn environment_radiance(&self, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
+        let environment = self.environment.as_ref().expect("the environment was hit");
+        let scratch = &mut context.scratch;
+        // Candidates stand on the side from which the ray came.
+        scratch.candidates.clear();
+        let to_viewer = viewer - hit.position;
+        for (index, probe) in self.placed.iter().enumerate() {
+            let to_probe = probe.position - hit.position;
+            let height = hit.normal.dot(to_probe);
+            if height > 0.0 {
+                let distance = to_probe.length();
+                let view = View {
+                    distance,
+                    cosine: height / distance,
+                    angle: to_probe.cross(to_viewer).length().atan2(to_probe.dot(to_viewer)),
+                    pixels: probe.pixels,
+                };
+                scratch.candidates.push((self.settings.blend.merit(&view), index as u32));
+            }
+        }
+        scratch.candidates.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        // Lines of sight, best first, until no further probe can have a weight.
+        scratch.merits.clear();
+        scratch.seen.clear();
+        let start = environment.leave(hit);
+        for &(merit, index) in &scratch.candidates {
+            if scratch.merits.first().is_some_and(|&best| self.settings.blend.ratio(merit, best) < NEGLIGIBLE) {
+                break;
+            }
+            let probe = &self.placed[index as usize];
+            context.rays += 1;
+            let clear = environment.transmittance(self.scene, start, probe.position, Some(hit.triangle));
+            if clear <= 0.0 {
+                continue;
+            }
+            let toward_point = hit.position - probe.position;
+            let panorama = &self.probes[index as usize].panorama;
+            let distance = toward_point.length();
+            let pixel = panorama.radiance_on_plane(
+                probe.to_local * (toward_point / distance),
+                self.frame.metres(distance),
+                probe.to_local * hit.normal,
+            );
+            if let Some(pixel) = pixel {
+                scratch.merits.push(merit);
+                scratch.seen.push((pixel * probe.gain, clear));
+                if scratch.merits.len() == self.settings.blend.reach() {
+                    break;
+                }
+            }
+        }
+        if scratch.merits.is_empty() {
+            return Radiance::UNCOVERED;
+        }
+        self.settings.blend.weights(&scratch.merits, &mut scratch.weights);
+        let mut sum = Vec3::ZERO;
+        let mut total = 0.0;
+        for (&weight, &(radiance, clear)) in scratch.weights.iter().zip(&scratch.seen) {
+            sum += radiance * (weight * clear);
+            total += weight * clear;
+        }
+        Radiance::covered(sum / total)
+    }
+
+    /// What scene geometry changes in the light of an environment point, from the texel it lies in.
+    fn effect(&self, hit: &Hit, walk: Walk, context: &mut PathContext) -> Vec3 {
+        let (Some(cache), Some(environment)) = (&self.effects, &self.environment) else { return Vec3::ZERO };
+        if walk.in_texel {
+            return self.effect_of_objects(hit, walk, context);
+        }
+        cache.lookup(environment, hit, |texel| {
+            // Walks from all over the texel: its mean.
+            let node = TEXEL_STREAMS | u64::from(hit.triangle) << 1 | u64::from(hit.back);
+            let stream = Stream::new(Sampler::Sobol, self.settings.seed, node, texel.index);
+            let mut own = PathContext::new(stream);
+            let mut sum = DVec3::ZERO;
+            for sample in 0..texel.walks {
+                own.sample = sample;
+                let place = texel.place(stream.point(sample, 0));
+                let start = environment.point(hit.triangle, place, hit.back);
+                sum += self.effect_of_objects(&start, Walk { in_texel: true, ..Walk::default() }, &mut own).as_dvec3();
+            }
+            context.rays += own.rays;
+            (sum / f64::from(texel.walks)).as_vec3()
+        })
+    }
+
+    /// What scene geometry changes in the light of an environment point: its shadow and its reflection, which no
+    /// probe has seen. One ray of the walk that the light of that point came along:
+    ///
+    /// Δ(x) = albedo/π ∫ (L_with - L_without) cosθ dω, where only a ray that meets an object, here or bounces
+    /// later, makes a difference. Based on: Debevec, "Rendering Synthetic Objects into Real Scenes", 1998, §6
+    /// (differential rendering). Walls around a sphere are darker than the empty box's that the probes saw: without
+    /// this, irradiance on the three spheres of the box is 10 % too bright; with it, 1 % (`tools/sphere_table`).
+    fn effect_of_objects(&self, hit: &Hit, walk: Walk, context: &mut PathContext) -> Vec3 {
+        let objects = self.objects.as_ref().expect("only scene geometry has an effect");
+        let environment = self.environment.as_ref().expect("the environment was hit");
+        let albedo = environment.albedo(self.scene, hit);
+        let walk = Walk { step: walk.step + 1, ..walk };
+        // Roulette by albedo: what goes on keeps the walk's weight at about one.
+        let survival = albedo.max_element().min(1.0);
+        let [chance, _] = context.stream.point(context.sample, ROULETTE + walk.step);
+        if walk.step > MAX_STEPS || chance >= survival {
+            return Vec3::ZERO;
+        }
+        let albedo = albedo / survival;
+        let start = environment.leave(hit);
+        let direction = cosine_hemisphere(hit.normal, context.stream.point(context.sample, walk.step));
+        context.rays += 1;
+        let behind = environment.closest(self.scene, start, direction, 0.0, f32::INFINITY);
+        let limit = behind.map_or(f32::INFINITY, |hit| hit.t);
+        let Some(object) = objects.closest(self.scene, start, direction, 0.0, limit) else {
+            return behind.map_or(Vec3::ZERO, |hit| albedo * self.effect_of_objects(&hit, walk, context));
+        };
+        let with = self.object_radiance(&object, walk, context);
+        let without = match behind {
+            Some(hit) => self.environment_radiance(&hit, start, context),
+            None => self.escaping_radiance(direction, context),
+        };
+        // Where one of the two is unknown, so is the difference.
+        albedo * (with.value - without.value) * (object.opacity * with.coverage.min(without.coverage))
+    }
+
+    /// 4. Nothing hit: the distant panorama, or else the probes that look out in the same direction.
+    fn escaping_radiance(&self, direction: Vec3, context: &mut PathContext) -> Radiance {
+        if let Some(distant) = self.distant {
+            let radiance = distant.panorama.radiance(self.distant_to_local * direction);
+            return Radiance::covered(radiance * self.distant_gain);
+        }
+        let mut sum = Vec3::ZERO;
+        let mut total = 0.0;
+        for (probe, placed) in self.probes.iter().zip(&self.placed) {
+            let Some(pixel) = probe.panorama.radiance_escaping(placed.to_local * direction) else { continue };
+            let clear = self.environment.as_ref().map_or(1.0, |environment| {
+                context.rays += 1;
+                environment.escaping(self.scene, placed.position, direction)
+            });
+            sum += pixel * (placed.gain * placed.pixels * clear);
+            total += placed.pixels * clear;
+        }
+        if total > 0.0 { Radiance::covered(sum / total) } else { Radiance::UNCOVERED }
+    }
+}
+
+/// Multiple importance sampling by the one density of the mixture (balance heuristic; Veach, 1997, §9.2): the first
+/// coordinate chooses the technique and is stretched again, so that both keep an even share of an even sequence.
+impl Proposal for Gdibl<'_> {
+    fn propose(&self, [first, second]: [f32; 2]) -> (Vec3, f32) {
+        let Some(importance) = &self.importance else { return (uniform_sphere([first, second]), 1.0) };
+        let (direction, density) = if first < UNIFORM_SHARE {
+            let direction = uniform_sphere([first / UNIFORM_SHARE, second]);
+            (direction, importance.density(self.distant_to_local * direction))
+        } else {
+            let (local, density) = importance.sample([(first - UNIFORM_SHARE) / (1.0 - UNIFORM_SHARE), second]);
+            (self.distant_to_local.transpose() * local, density)
+        };
+        let uniform = 0.25 * std::f32::consts::FRAC_1_PI;
+        (direction, uniform / (UNIFORM_SHARE * uniform + (1.0 - UNIFORM_SHARE) * density))
+    }
+}

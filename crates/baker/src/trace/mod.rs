@@ -1,0 +1,305 @@
+//! Tracing: triangles and rays, nothing of probes or light.
+//!
+//! World positions (f64, metres) become *trace* positions (f32) once, through a [`Frame`] that moves the level to
+//! the origin and scales it by a power of two to about a thousand units, so that a dolls' house and a city, at
+//! the origin or a thousand kilometres away, are traced alike.
+
+mod tree;
+mod triangle;
+
+use glam::{DVec3, Vec2, Vec3, Vec4};
+
+use crate::scene::{Alpha, Material, Mesh, Role, Scene};
+pub use tree::{Tree, TreeHit};
+
+/// Half the size of the level in trace units lies in `TRACE_EXTENT/2 ..= TRACE_EXTENT`.
+const TRACE_EXTENT: f64 = 512.0;
+
+/// World ↔ trace positions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    /// World position that becomes the origin.
+    pub origin: DVec3,
+    /// Trace units per metre, a power of two.
+    pub scale: f64,
+    /// Half the size of the level's box, trace units; zero without a level.
+    pub half: Vec3,
+}
+
+impl Default for Frame {
+    /// Trace space is the world.
+    fn default() -> Self {
+        Frame { origin: DVec3::ZERO, scale: 1.0, half: Vec3::ZERO }
+    }
+}
+
+impl Frame {
+    /// The frame of a level with these bounds (world, metres). Of an empty or point-like level: no scaling.
+    pub fn of_bounds(min: DVec3, max: DVec3) -> Frame {
+        let half = (max - min).max_element() / 2.0;
+        let scale = if half > 0.0 && half.is_finite() { (TRACE_EXTENT / half).log2().floor().exp2() } else { 1.0 };
+        let origin = if half.is_finite() { (min + max) / 2.0 } else { DVec3::ZERO };
+        let half = if half.is_finite() { ((max - min) / 2.0 * scale).as_vec3() } else { Vec3::ZERO };
+        Frame { origin, scale, half }
+    }
+
+    /// World → trace.
+    pub fn to_trace(&self, world: DVec3) -> Vec3 {
+        ((world - self.origin) * self.scale).as_vec3()
+    }
+
+    /// `position` moved off the faces of the level's box into it, if it is closer than `margin` to one (trace units).
+    /// Half the rays that start exactly in a wall would leave through it.
+    pub fn off_the_walls(&self, position: Vec3, margin: f32) -> Vec3 {
+        let place = |p: f32, half: f32| {
+            let wall = (half - margin).max(0.0);
+            if p.abs() > wall && p.abs() < half + margin { wall.copysign(p) } else { p }
+        };
+        Vec3::new(place(position.x, self.half.x), place(position.y, self.half.y), place(position.z, self.half.z))
+    }
+
+    /// Trace → world.
+    pub fn to_world(&self, trace: Vec3) -> DVec3 {
+        trace.as_dvec3() / self.scale + self.origin
+    }
+
+    /// Length in trace units → metres.
+    pub fn metres(&self, length: f32) -> f32 {
+        (f64::from(length) / self.scale) as f32
+    }
+}
+
+/// Where a triangle of [`Surfaces`] came from.
+#[derive(Debug, Clone, Copy)]
+struct Source {
+    mesh: u32,
+    triangle: u32,
+}
+
+/// All triangles of one role, ready to trace.
+#[derive(Debug)]
+pub struct Surfaces {
+    tree: Tree,
+    corners: Vec<[Vec3; 3]>,
+    sources: Vec<Source>,
+    /// Only some materials need a look at alpha; without one, no hit asks.
+    any_clear: bool,
+}
+
+/// A point on a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// Distance in lengths of the ray's direction.
+    pub t: f32,
+    /// Trace position, from the corners (more accurate than from the ray).
+    pub position: Vec3,
+    /// Unit geometric normal, turned to face the ray's origin.
+    pub normal: Vec3,
+    /// The ray met the back of the triangle (by its winding).
+    pub back: bool,
+    /// What a ray loses here, 0..=1 (1 for opaque).
+    pub opacity: f32,
+    /// Index into the role's surfaces.
+    pub triangle: u32,
+    /// Weights of corners 1 and 2.
+    pub barycentric: Vec2,
+}
+
+impl Surfaces {
+    /// Collects the triangles of `role`. Returns `None` when there are none: what a level does not have is not
+    /// traced.
+    pub fn new(scene: &Scene, role: Role, frame: &Frame) -> Option<Surfaces> {
+        let mut corners = Vec::new();
+        let mut sources = Vec::new();
+        let mut any_clear = false;
+        for (index, mesh) in scene.meshes.iter().enumerate().filter(|(_, m)| m.role == role) {
+            any_clear |= scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
+            for (triangle, &ids) in mesh.triangles.iter().enumerate() {
+                corners.push(ids.map(|i| frame.to_trace(mesh.positions[i as usize])));
+                sources.push(Source { mesh: index as u32, triangle: triangle as u32 });
+            }
+        }
+        if corners.is_empty() {
+            return None;
+        }
+        Some(Surfaces { tree: Tree::build(&corners), corners, sources, any_clear })
+    }
+
+    /// How many triangles.
+    pub fn len(&self) -> usize {
+        self.corners.len()
+    }
+
+    /// Never: see [`Surfaces::new`].
+    pub fn is_empty(&self) -> bool {
+        self.corners.is_empty()
+    }
+
+    /// Some material has holes or lets light through.
+    pub fn any_clear(&self) -> bool {
+        self.any_clear
+    }
+
+    /// Nearest surface along the ray with `t_min < t < t_max`, holes skipped.
+    pub fn closest(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> Option<Hit> {
+        let mut opacity = 1.0;
+        let hit = if self.any_clear {
+            self.tree.closest(origin, direction, t_min, t_max, |hit| {
+                let here = self.opacity(scene, hit);
+                let counts = here > 0.0;
+                if counts {
+                    opacity = here;
+                }
+                counts
+            })
+        } else {
+            self.tree.closest(origin, direction, t_min, t_max, |_| true)
+        }?;
+        let back = geometric_normal(&self.corners[hit.triangle as usize]).dot(direction) > 0.0;
+        Some(Hit { t: hit.t, opacity, ..self.point(hit.triangle, Vec2::new(hit.v, hit.w), back) })
+    }
+
+    /// A place on a triangle, seen from its front or back; opaque, at t = 0.
+    pub fn point(&self, triangle: u32, barycentric: Vec2, back: bool) -> Hit {
+        let corners = &self.corners[triangle as usize];
+        let normal = geometric_normal(corners);
+        let Vec2 { x: v, y: w } = barycentric;
+        Hit {
+            t: 0.0,
+            position: corners[0] * (1.0 - v - w) + corners[1] * v + corners[2] * w,
+            normal: if back { -normal } else { normal },
+            back,
+            opacity: 1.0,
+            triangle,
+            barycentric,
+        }
+    }
+
+    /// Corners of a triangle, trace positions.
+    pub fn corners(&self, triangle: u32) -> &[Vec3; 3] {
+        &self.corners[triangle as usize]
+    }
+
+    /// Share of light that passes from `from` to `to` (trace positions), 0..=1, `ignore` left out of account. The line
+    /// ends some ulps before `to`: what stands exactly on a surface is not hidden by it.
+    pub fn transmittance(&self, scene: &Scene, from: Vec3, to: Vec3, ignore: Option<u32>) -> f32 {
+        let ignore = ignore.unwrap_or(u32::MAX);
+        let line = to - from;
+        let end = 1.0 - off_surface(to) / line.length();
+        self.clear_share(scene, from, line, end, ignore)
+    }
+
+    /// Share of light that escapes from `origin` along `direction`, 0..=1.
+    pub fn escaping(&self, scene: &Scene, origin: Vec3, direction: Vec3) -> f32 {
+        self.clear_share(scene, origin, direction, f32::INFINITY, u32::MAX)
+    }
+
+    fn clear_share(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_max: f32, ignore: u32) -> f32 {
+        let mut clear = 1.0;
+        self.tree.any(origin, direction, 0.0, t_max, |hit| {
+            if hit.triangle == ignore {
+                return true;
+            }
+            clear *= if self.any_clear { 1.0 - self.opacity(scene, hit) } else { 0.0 };
+            clear > 0.0
+        });
+        clear
+    }
+
+    /// A start for rays that leave the surface on the side of `hit.normal`: off it by some ulps of the triangle's
+    /// coordinates, whatever the length of the ray.
+    pub fn leave(&self, hit: &Hit) -> Vec3 {
+        let corners = &self.corners[hit.triangle as usize];
+        let largest = corners.iter().fold(Vec3::ZERO, |m, c| m.max(c.abs()));
+        hit.position + hit.normal * off_surface(largest)
+    }
+
+    /// The material of a triangle.
+    pub fn material<'a>(&self, scene: &'a Scene, triangle: u32) -> &'a Material {
+        &scene.materials[self.mesh(scene, triangle).material as usize]
+    }
+
+    /// Diffuse albedo, linear RGB: base colour × texture × vertex colour × (1 - metallic); black where unlit.
+    pub fn albedo(&self, scene: &Scene, hit: &Hit) -> Vec3 {
+        let material = self.material(scene, hit.triangle);
+        if material.unlit {
+            return Vec3::ZERO;
+        }
+        self.base_color(scene, hit.triangle, hit.barycentric).truncate() * (1.0 - material.metallic)
+    }
+
+    /// Emitted radiance toward the side the ray came from, linear RGB.
+    pub fn emission(&self, scene: &Scene, hit: &Hit) -> Vec3 {
+        let material = self.material(scene, hit.triangle);
+        if material.emission == Vec3::ZERO || (hit.back && !material.double_sided) {
+            return Vec3::ZERO;
+        }
+        let texel = self.texel(scene, hit.triangle, hit.barycentric, material.emission_texture);
+        material.emission * texel.truncate()
+    }
+
+    fn opacity(&self, scene: &Scene, hit: &TreeHit) -> f32 {
+        let material = self.material(scene, hit.triangle);
+        match material.alpha {
+            Alpha::Opaque => 1.0,
+            Alpha::Mask(cutoff) => {
+                let alpha = self.base_color(scene, hit.triangle, Vec2::new(hit.v, hit.w)).w;
+                if alpha >= cutoff { 1.0 } else { 0.0 }
+            }
+            Alpha::Blend => self.base_color(scene, hit.triangle, Vec2::new(hit.v, hit.w)).w.clamp(0.0, 1.0),
+        }
+    }
+
+    fn base_color(&self, scene: &Scene, triangle: u32, barycentric: Vec2) -> Vec4 {
+        let mesh = self.mesh(scene, triangle);
+        let material = &scene.materials[mesh.material as usize];
+        let mut color = material.base_color * self.texel(scene, triangle, barycentric, material.base_color_texture);
+        if !mesh.colors.is_empty() {
+            color *= self.interpolate(scene, triangle, barycentric, &mesh.colors);
+        }
+        color
+    }
+
+    fn texel(
+        &self,
+        scene: &Scene,
+        triangle: u32,
+        barycentric: Vec2,
+        texture: Option<crate::scene::TextureUse>,
+    ) -> Vec4 {
+        let Some(texture) = texture else { return Vec4::ONE };
+        let uvs = &self.mesh(scene, triangle).uvs[texture.uv_set as usize];
+        if uvs.is_empty() {
+            return Vec4::ONE;
+        }
+        let uv = self.interpolate(scene, triangle, barycentric, uvs);
+        let uv = texture.transform.transform_point2(uv);
+        scene.textures[texture.texture as usize].sample(uv)
+    }
+
+    fn interpolate<T>(&self, scene: &Scene, triangle: u32, barycentric: Vec2, values: &[T]) -> T
+    where
+        T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
+    {
+        let mesh = self.mesh(scene, triangle);
+        let ids = mesh.triangles[self.sources[triangle as usize].triangle as usize];
+        let [a, b, c] = ids.map(|i| values[i as usize]);
+        a * (1.0 - barycentric.x - barycentric.y) + b * barycentric.x + c * barycentric.y
+    }
+
+    fn mesh<'a>(&self, scene: &'a Scene, triangle: u32) -> &'a Mesh {
+        &scene.meshes[self.sources[triangle as usize].mesh as usize]
+    }
+}
+
+/// Some ulps of a point's largest coordinate, in trace units: off a surface there for sure.
+fn off_surface(point: Vec3) -> f32 {
+    8.0 * f32::EPSILON * point.abs().max_element()
+}
+
+/// Unit normal by winding; in f64 because slivers cancel in f32. A triangle whose corners fell together in trace
+/// precision has none: +Y stands in, it is too small to matter.
+fn geometric_normal(corners: &[Vec3; 3]) -> Vec3 {
+    let [a, b, c] = corners.map(|v| v.as_dvec3());
+    (b - a).cross(c - a).try_normalize().map_or(Vec3::Y, |n| n.as_vec3())
+}

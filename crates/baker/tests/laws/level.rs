@@ -1,0 +1,135 @@
+//! Levels made of boxes, probes made of functions, and bakes of a few points.
+
+use gdibl_baker::analyse::radiance_sh;
+use gdibl_baker::bake::{BakeSettings, Baked, Control, Nodes, bake};
+use gdibl_baker::panorama::Panorama;
+use gdibl_baker::radiance::gdibl::{Distant, Gdibl, GdiblSettings, Probe};
+use gdibl_baker::scene::{Material, Mesh, Role, Scene};
+use gdibl_runtime::RadianceSh;
+use glam::{DVec3, Quat, Vec3};
+use std::sync::atomic::AtomicBool;
+
+pub type Triangle = [DVec3; 3];
+
+/// Twelve triangles that face inward.
+pub fn box_of(min: DVec3, max: DVec3) -> Vec<Triangle> {
+    let corner = |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { min[axis] } else { max[axis] }));
+    let faces = [[0, 2, 6, 4], [1, 5, 7, 3], [0, 4, 5, 1], [2, 3, 7, 6], [0, 1, 3, 2], [4, 6, 7, 5]];
+    faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]].map(|t| t.map(corner))).collect()
+}
+
+/// Twelve triangles that face outward.
+pub fn solid_of(min: DVec3, max: DVec3) -> Vec<Triangle> {
+    box_of(min, max).into_iter().map(|[a, b, c]| [a, c, b]).collect()
+}
+
+/// Adds triangles; material 0 is white with albedo 1.
+pub fn add(scene: &mut Scene, role: Role, triangles: &[Triangle]) {
+    if scene.materials.is_empty() {
+        scene.materials.push(Material { metallic: 0.0, ..Material::default() });
+    }
+    let count = 3 * triangles.len() as u32;
+    scene.meshes.push(Mesh {
+        role,
+        positions: triangles.iter().flatten().copied().collect(),
+        normals: vec![Vec3::Y; count as usize],
+        triangles: (0..count / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
+        ..Mesh::default()
+    });
+}
+
+/// A closed room with a pillar that hides parts of it from every probe. No probe of [`coloured_probes`] stands exactly
+/// in the plane of one of its faces: whether it sees that face would be up to rounding.
+pub fn room_with_pillar() -> Scene {
+    let mut scene = Scene::default();
+    add(&mut scene, Role::Environment, &box_of(DVec3::new(-3.0, -1.0, -2.0), DVec3::new(3.0, 2.0, 2.5)));
+    add(&mut scene, Role::Environment, &solid_of(DVec3::new(0.4, -1.0, 0.3), DVec3::new(0.9, 1.05, 0.8)));
+    scene
+}
+
+/// Places in that room.
+pub fn places() -> Vec<DVec3> {
+    (0..8)
+        .map(|i| {
+            let i = f64::from(i);
+            DVec3::new((2.7 * i).sin() * 2.5, 0.5 + (1.3 * i).cos(), 0.25 - 1.6 * (1.9 * i + 1.0).cos())
+        })
+        .collect()
+}
+
+/// A panorama of `width` × `width`/2 pixels.
+pub fn panorama(width: usize, light: impl Fn(Vec3) -> [f32; 3]) -> Panorama {
+    let height = width / 2;
+    let grid = Panorama::new(width, height, vec![[0.0; 3]; width * height], None);
+    let pixels = (0..width * height).map(|i| light(grid.pixel_direction(i % width, i / width))).collect();
+    Panorama::new(width, height, pixels, None)
+}
+
+pub fn probe(position: DVec3, width: usize, light: impl Fn(Vec3) -> [f32; 3]) -> Probe {
+    Probe {
+        name: "probe".into(),
+        position,
+        rotation: Quat::IDENTITY,
+        exposure_stops: 0.0,
+        panorama: panorama(width, light),
+    }
+}
+
+pub fn distant(panorama: Panorama) -> Distant {
+    Distant { name: "sky".into(), rotation: Quat::IDENTITY, exposure_stops: 0.0, panorama }
+}
+
+/// Three probes of unlike, smooth light in [`room_with_pillar`].
+pub fn coloured_probes() -> Vec<Probe> {
+    vec![
+        probe(DVec3::new(-2.0, 0.2, -1.0), 64, |d| [1.0 + d.x, 1.2 + d.y * d.z, 0.4]),
+        probe(DVec3::new(1.8, 1.1, 1.7), 32, |d| [0.3, 1.5 + d.z, 1.0 + d.x * d.x]),
+        probe(DVec3::new(2.0, -0.3, -1.2), 48, |d| [2.0, 1.0, 1.5 + d.y]),
+    ]
+}
+
+/// GDIBL by the defaults.
+pub fn gdibl<'a>(scene: &'a Scene, probes: &'a [Probe], distant: Option<&'a Distant>) -> Gdibl<'a> {
+    Gdibl::new(scene, probes, distant, GdiblSettings::default())
+}
+
+pub fn bake_points(function: &Gdibl, points: &[DVec3], settings: &BakeSettings) -> Baked {
+    let nodes = Nodes::Points(points.to_vec());
+    let cancel = AtomicBool::new(false);
+    bake(
+        &nodes,
+        function,
+        &|node, direction, context: &mut _| {
+            function.radiance(nodes.ray_origin(node, function.frame()), direction, context)
+        },
+        settings,
+        &Control { cancel: &cancel, progress: &|_, _| {} },
+    )
+    .expect("nobody interrupts")
+}
+
+/// Coefficients of a node.
+pub fn sh_of(baked: &Baked, node: usize) -> RadianceSh {
+    radiance_sh(baked.bands, baked.node(node).chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2]]))
+}
+
+/// Root of the mean square of all coefficients.
+pub fn rms(values: &[f32]) -> f64 {
+    (values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// Largest difference of coefficients over their RMS.
+pub fn difference(found: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    assert!(!found.is_empty());
+    let largest = found.iter().zip(expected).map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs()).fold(0.0, f64::max);
+    largest / rms(expected)
+}
+
+pub const SMALL: BakeSettings = BakeSettings {
+    bands: 2,
+    samples: 512,
+    target_error: None,
+    seed: 3,
+    sampler: gdibl_baker::sampling::Sampler::Sobol,
+};

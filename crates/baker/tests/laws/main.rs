@@ -1,0 +1,8 @@
+//! Laws that every bake obeys, whatever the level: numbers come after.
+
+mod blending;
+mod geometry;
+mod level;
+mod light;
+mod statistics;
+mod sun;

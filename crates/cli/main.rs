@@ -1,2 +1,46 @@
-//! gdibl
-fn main() {}
+//! `gdibl`: bakes irradiance volumes from a glTF level and a few HDR light probes, and tells what is in them.
+
+mod commands;
+mod config;
+mod fault;
+mod inputs;
+mod progress;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Bakes irradiance volumes by Geometrically Derived Image Based Lighting.
+///
+/// Exit codes: 0 done; 1 the system (disk, memory); 2 usage; 3 invalid input; 4 unsupported input; 5 done, but a
+/// requested bound was not met; 130 interrupted.
+#[derive(Parser)]
+#[command(version, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Bake an irradiance volume from a level (.glb, .gltf) or a BAKE.toml
+    Bake(Box<commands::bake::Arguments>),
+    /// Tell what is in a volume: sections, grid, validity, error, coverage, settings, plan
+    Inspect(commands::inspect::Arguments),
+    /// Irradiance, or SH coefficients, at the places of a CSV file
+    Sample(commands::sample::Arguments),
+}
+
+fn main() -> ExitCode {
+    let done = match Arguments::parse().verb {
+        Verb::Bake(arguments) => commands::bake::run(*arguments),
+        Verb::Inspect(arguments) => commands::inspect::run(arguments),
+        Verb::Sample(arguments) => commands::sample::run(arguments),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(fault) => {
+            eprintln!("gdibl: {fault}");
+            ExitCode::from(fault.exit_code())
+        }
+    }
+}

@@ -1,0 +1,324 @@
+//! `gdibl bake`: level and probes in, volume out.
+
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use gdibl_baker::bake::{self, BakeSettings, Baked, Control, Nodes};
+use gdibl_baker::plan::{PlanRow, plan};
+use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
+use gdibl_baker::records::{ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
+use gdibl_baker::sampling::Sampler;
+use gdibl_baker::volume::{PackSettings, Precision, pack, write_whole};
+use serde::Serialize;
+
+use crate::config::{Config, FileFlags, GridFlags, QualityFlags};
+use crate::fault::Fault;
+use crate::inputs::{Inputs, nodes_of};
+use crate::progress::{Progress, cancel_on_interrupt};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    files: FileFlags,
+    #[command(flatten)]
+    grid: GridFlags,
+    #[command(flatten)]
+    quality: QualityFlags,
+    /// Never capture probes from the level: bake with what is given, uncovered directions are filled
+    #[arg(long)]
+    no_capture: bool,
+    /// Print what would be done and left out, and stop
+    #[arg(long)]
+    plan: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    /// No progress bar
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report<'a> {
+    output: String,
+    nodes: u64,
+    nodes_valid: u64,
+    rays: u64,
+    wall_seconds: f64,
+    cpu_seconds: f64,
+    sh: String,
+    relative_error: Option<ErrorSummary>,
+    coverage: f64,
+    bytes: u64,
+    plan: &'a [PlanRow],
+    seed: u64,
+    samples: u64,
+    findings: &'a [gdibl_baker::Finding],
+}
+
+pub fn run(arguments: Arguments) -> Result<(), Fault> {
+    let started = Instant::now();
+    let cancel = cancel_on_interrupt();
+    let config = Config::new(arguments.files, arguments.grid, arguments.quality)?;
+    set_threads(config.quality.threads)?;
+    let settings = bake_settings(&config)?;
+
+    // Everything is read and refused before the first ray.
+    let inputs = Inputs::read(&config)?;
+    let nodes = nodes_of(&config, &inputs.scene)?;
+    check_memory(&nodes, &settings, config.quality.max_memory)?;
+    let scene_hit = config.quality.scene.unwrap_or_default();
+    let blend = config.quality.blend.unwrap_or_default();
+    let function = Gdibl::new(
+        &inputs.scene,
+        &inputs.probes,
+        inputs.distant.as_ref(),
+        GdiblSettings { blend, scene_hit, seed: settings.seed },
+    );
+    let plan = plan(&inputs.scene, &function);
+    if arguments.plan {
+        return print_plan(&plan, arguments.json);
+    }
+    inputs.warn();
+    if inputs.probes.is_empty() && inputs.distant.is_none() && !inputs.scene.emits() {
+        return Err(Fault::Bound(format!(
+            "{}: nothing gives light: no probe, no distant panorama; give --probes or --distant",
+            config.level.display()
+        )));
+    }
+    check_output(&config)?;
+
+    let progress = Progress::nodes(nodes.len() as u64, arguments.quiet);
+    let origins = |node: usize| nodes.ray_origin(node, function.frame());
+    let baked = bake::bake(
+        &nodes,
+        &function,
+        &|node, direction, context: &mut _| function.radiance(origins(node), direction, context),
+        &settings,
+        &Control { cancel: &cancel, progress: &|nodes, rays| progress.advance(nodes, rays) },
+    )
+    .map_err(|_| Fault::Interrupted)?;
+    progress.finish();
+
+    if !baked.valid.contains(&true) {
+        return Err(Fault::Bound(format!(
+            "no node of {} saw anything that a probe or the distant panorama has seen, so there is nothing to fill \
+             from and nothing was written; are the probes' positions in the level's metres, inside the same rooms \
+             as the nodes, not in a wall?",
+            nodes.len()
+        )));
+    }
+    let records = Records {
+        settings: settings_record(&config, &settings, scene_hit),
+        probes: probe_records(&inputs),
+        statistics: statistics(&baked, &inputs),
+        plan,
+    };
+    let packing = PackSettings {
+        precision: config.quality.precision.unwrap_or_default(),
+        zstd: config.quality.zstd.unwrap_or(false),
+    };
+    let bytes = pack(&nodes, &baked, &records, packing);
+    if cancel.load(Ordering::Relaxed) {
+        return Err(Fault::Interrupted);
+    }
+    write_whole(&config.output, &bytes).map_err(|error| Fault::System(format!("{error}; nothing was written")))?;
+
+    let report = Report {
+        output: config.output.display().to_string(),
+        nodes: nodes.len() as u64,
+        nodes_valid: records.statistics.nodes_valid,
+        rays: baked.rays,
+        wall_seconds: started.elapsed().as_secs_f64(),
+        cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
+        sh: format!("L{}", baked.bands),
+        relative_error: records.statistics.relative_error,
+        coverage: records.statistics.coverage,
+        bytes: bytes.len() as u64,
+        plan: &records.plan,
+        seed: settings.seed,
+        samples: baked.samples,
+        findings: &records.statistics.findings,
+    };
+    if arguments.json {
+        super::print_json(&report)?;
+    } else {
+        print_report(&report, &nodes, packing.precision)?;
+    }
+    match settings.target_error {
+        Some(target) if baked.missed > 0 => Err(Fault::Bound(format!(
+            "{} of {} nodes missed the target error of {} % within {} samples; the volume was written",
+            baked.missed,
+            nodes.len(),
+            target * 100.0,
+            settings.samples
+        ))),
+        _ => Ok(()),
+    }
+}
+
+fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
+    let quality = &config.quality;
+    let defaults = BakeSettings::default();
+    let samples = match (quality.samples, quality.target_error) {
+        (Some(samples), _) => samples,
+        (None, Some(_)) => BakeSettings::TARGET_SAMPLES,
+        (None, None) => defaults.samples,
+    };
+    if !(1..=BakeSettings::MAX_SAMPLES).contains(&samples) {
+        return Err(Fault::Usage(format!("--samples {samples}: expected 1 to {}", BakeSettings::MAX_SAMPLES)));
+    }
+    if let Some(target) = quality.target_error.filter(|target| !(*target > 0.0 && target.is_finite())) {
+        return Err(Fault::Usage(format!("--target-error {target}: expected a positive share, 0.01 for 1 %")));
+    }
+    Ok(BakeSettings {
+        bands: quality.sh.unwrap_or(defaults.bands),
+        samples,
+        target_error: quality.target_error,
+        seed: quality.seed.unwrap_or(defaults.seed),
+        sampler: quality.sampler.unwrap_or(defaults.sampler),
+    })
+}
+
+fn set_threads(threads: Option<usize>) -> Result<(), Fault> {
+    let Some(threads) = threads else { return Ok(()) };
+    if !(1..=1024).contains(&threads) {
+        return Err(Fault::Usage(format!("--threads {threads}: expected 1 to 1024")));
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    pool.map_err(|error| Fault::System(format!("cannot start {threads} threads: {error}")))
+}
+
+/// Says what a bake needs before any of it is taken.
+fn check_memory(nodes: &Nodes, settings: &BakeSettings, limit_gib: Option<f64>) -> Result<(), Fault> {
+    let needed = bake::memory_needed(nodes.len() as u64, settings);
+    let gib = f64::from(1 << 30);
+    let (limit, whose) = match limit_gib {
+        Some(limit) => (limit * gib, "--max-memory allows"),
+        None => (super::memory_available().unwrap_or(f64::INFINITY), "this machine has free"),
+    };
+    if needed as f64 > limit {
+        return Err(Fault::System(format!(
+            "{} nodes need about {:.1} GiB, {whose} {:.1} GiB; use a larger --spacing or smaller --bounds",
+            nodes.len(),
+            needed as f64 / gib,
+            limit / gib
+        )));
+    }
+    Ok(())
+}
+
+/// An output that cannot be written is found out before hours of baking.
+fn check_output(config: &Config) -> Result<(), Fault> {
+    let output = &config.output;
+    if output.is_dir() {
+        return Err(Fault::Usage(format!("{}: is a folder; name a file", output.display())));
+    }
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
+    let probe = tempfile::Builder::new().prefix(".gdibl-").tempfile_in(folder);
+    probe.map(drop).map_err(|error| Fault::writing(output, &error))
+}
+
+fn settings_record(config: &Config, settings: &BakeSettings, scene_hit: SceneHit) -> SettingsRecord {
+    SettingsRecord {
+        writer: concat!("gdibl ", env!("CARGO_PKG_VERSION")).into(),
+        level: super::file_name(&config.level),
+        method: "gdibl".into(),
+        blend: config.quality.blend.unwrap_or_default().to_string(),
+        scene: match scene_hit {
+            SceneHit::Recurse(depth) => format!("recurse:{depth}"),
+            SceneHit::Occlude => "occlude".into(),
+        },
+        sampler: match settings.sampler {
+            Sampler::Sobol => "sobol".into(),
+            Sampler::Random => "random".into(),
+        },
+        samples: settings.samples,
+        target_error: settings.target_error,
+        seed: settings.seed,
+    }
+}
+
+fn probe_records(inputs: &Inputs) -> Vec<ProbeRecord> {
+    let probes = inputs.probes.iter().map(|probe| ProbeRecord {
+        name: probe.name.clone(),
+        position: Some(probe.position.into()),
+        rotation: probe.rotation.into(),
+        exposure_stops: probe.exposure_stops,
+        size: [probe.panorama.width() as u32, probe.panorama.height() as u32],
+        distance: probe.panorama.distances().is_some(),
+    });
+    let distant = inputs.distant.iter().map(|distant| ProbeRecord {
+        name: distant.name.clone(),
+        position: None,
+        rotation: distant.rotation.into(),
+        exposure_stops: distant.exposure_stops,
+        size: [distant.panorama.width() as u32, distant.panorama.height() as u32],
+        distance: distant.panorama.distances().is_some(),
+    });
+    probes.chain(distant).collect()
+}
+
+fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
+    let valid = || baked.valid.iter().zip(&baked.relative_error).filter(|(valid, _)| **valid);
+    StatisticsRecord {
+        nodes: baked.valid.len() as u64,
+        nodes_valid: valid().count() as u64,
+        rays: baked.rays,
+        samples: baked.samples,
+        relative_error: ErrorSummary::of(valid().map(|(_, error)| f64::from(*error))),
+        coverage: baked.coverage.iter().map(|c| f64::from(*c)).sum::<f64>() / baked.coverage.len() as f64,
+        findings: inputs.findings.clone(),
+    }
+}
+
+fn print_plan(plan: &[PlanRow], json: bool) -> Result<(), Fault> {
+    if json {
+        return super::print_json(&plan);
+    }
+    for row in plan {
+        super::print_line(&format!("{:<16} {:<9} {}", row.stage, if row.kept { "kept" } else { "left out" }, row.why))?;
+    }
+    Ok(())
+}
+
+fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<(), Fault> {
+    let kind = match nodes {
+        Nodes::Grid(grid) => {
+            let [x, y, z] = grid.counts;
+            format!("grid {x} x {y} x {z}")
+        }
+        Nodes::Points(_) => "points".into(),
+        Nodes::Vertices { sets, .. } => format!("vertices of {} meshes", sets.len()),
+    };
+    let precision = match precision {
+        Precision::F16 => "f16",
+        Precision::F32 => "f32",
+    };
+    let mut lines = vec![
+        report.output.clone(),
+        format!("  nodes     {} ({kind}), {} valid", report.nodes, report.nodes_valid),
+        format!("  light     {} in {precision}, {} bytes", report.sh, report.bytes),
+        format!(
+            "  work      {:.1} M rays for {:.1} M directions in {:.2} s ({:.2} s of CPU)",
+            report.rays as f64 / 1e6,
+            report.samples as f64 / 1e6,
+            report.wall_seconds,
+            report.cpu_seconds
+        ),
+        format!("  coverage  {:.1} % of what the nodes see, some probe has seen", report.coverage * 100.0),
+        match report.relative_error {
+            Some(e) => format!(
+                "  error     {:.2} % median, {:.2} % 95th percentile, {:.2} % worst node (standard error of irradiance)",
+                e.median * 100.0,
+                e.p95 * 100.0,
+                e.max * 100.0
+            ),
+            None => "  error     not measured: that takes at least two samples per node".into(),
+        },
+    ];
+    let left_out = report.plan.iter().filter(|row| !row.kept);
+    lines.extend(left_out.map(|row| format!("  left out  {}: {}", row.stage, row.why)));
+    super::print_line(&lines.join("\n"))
+}

@@ -1,0 +1,51 @@
+//! One file per verb, and what they share.
+
+pub mod bake;
+pub mod inspect;
+pub mod sample;
+
+use serde::Serialize;
+use std::io::Write;
+use std::path::Path;
+
+use crate::fault::Fault;
+
+/// A line on stdout. A reader that went away (`gdibl … | head`) is not an error worth a message.
+fn print_line(line: &str) -> Result<(), Fault> {
+    match writeln!(std::io::stdout(), "{line}") {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        Err(error) => Err(Fault::System(format!("cannot write to standard output: {error}"))),
+        Ok(()) => Ok(()),
+    }
+}
+
+/// A value as JSON on stdout.
+fn print_json(value: &impl Serialize) -> Result<(), Fault> {
+    print_line(&serde_json::to_string_pretty(value).expect("reports are plain data"))
+}
+
+/// The last part of a path, for records that must not depend on where a level lies.
+pub fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// A volume from a file.
+fn read_volume_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
+    std::fs::read(path).map_err(|error| Fault::reading(path, &error))
+}
+
+/// What the runtime said of a file, as an exit code.
+fn volume_fault(path: &Path, error: &gdibl_runtime::Error) -> Fault {
+    let message = format!("{}: {error}", path.display());
+    match error {
+        gdibl_runtime::Error::Unsupported { .. } => Fault::Unsupported(message),
+        _ => Fault::Invalid(message),
+    }
+}
+
+/// Bytes that can still be taken without swapping; `None` where the system does not tell.
+fn memory_available() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<f64>().ok().map(|kilobytes| kilobytes * 1024.0)
+}

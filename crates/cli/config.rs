@@ -1,0 +1,346 @@
+//! What to bake: BAKE.toml, overridden by flags. The same settings by the same names in both.
+
+use clap::Args;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+use gdibl_baker::radiance::blend::BlendRule;
+use gdibl_baker::radiance::gdibl::SceneHit;
+use gdibl_baker::sampling::Sampler;
+use gdibl_baker::volume::Precision;
+
+use crate::fault::Fault;
+
+/// Flags that BAKE.toml can hold too. `None`: not said.
+#[derive(Args, Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GridFlags {
+    /// Where to bake: grid, vertices, or points:FILE.csv (x,y,z with a header line) [default: grid]
+    #[arg(long, value_name = "WHERE")]
+    pub nodes: Option<NodeKind>,
+    /// Box of the grid, world metres: x0,y0,z0,x1,y1,z1 [default: the level's box]
+    #[arg(long, value_name = "BOX", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
+    pub bounds: Option<Vec<f64>>,
+    /// Greatest distance between grid nodes, metres [default: 32 nodes along the longest axis]
+    #[arg(long, value_name = "M")]
+    pub spacing: Option<f64>,
+    /// Grid nodes per axis: X,Y,Z
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 1)]
+    pub counts: Option<Vec<u64>>,
+}
+
+/// Flags that BAKE.toml can hold too. `None`: not said.
+#[derive(Args, Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct QualityFlags {
+    /// Directions per node; with --target-error the most a node may take [default: 4096; with a target 65536]
+    #[arg(long, value_name = "N")]
+    pub samples: Option<u64>,
+    /// Sample each node until the relative standard error of its irradiance is at most this (0.01 is 1 %)
+    #[arg(long, value_name = "F")]
+    pub target_error: Option<f64>,
+    /// Same seed, same bytes [default: 0]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Worker threads; the result does not depend on it [default: all]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// sobol, or random (the report's, a baseline) [default: sobol]
+    #[arg(long, value_name = "NAME", value_parser = parse_sampler)]
+    #[serde(deserialize_with = "text::sampler")]
+    pub sampler: Option<Sampler>,
+    /// What a ray does at scene geometry: recurse:DEPTH or occlude [default: recurse:3]
+    #[arg(long, value_name = "HOW", value_parser = parse_scene_hit)]
+    #[serde(deserialize_with = "text::scene_hit")]
+    pub scene: Option<SceneHit>,
+    /// Bands of spherical harmonics: L0, L1, L2, L3 or L4 [default: L2]
+    #[arg(long, value_name = "BANDS", value_parser = parse_bands)]
+    #[serde(deserialize_with = "text::bands")]
+    pub sh: Option<u32>,
+    /// Numbers in the file: f16 or f32 [default: f16]
+    #[arg(long, value_name = "TYPE", value_parser = parse_precision)]
+    #[serde(deserialize_with = "text::precision")]
+    pub precision: Option<Precision>,
+    /// Compress the file's sections with zstd; readers need a decoder then
+    #[arg(long, num_args = 0, default_missing_value = "true")]
+    pub zstd: Option<bool>,
+    /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
+    /// [default: footprint:4]
+    #[arg(long, value_name = "RULE", value_parser = parse_blend)]
+    #[serde(deserialize_with = "text::blend")]
+    pub blend: Option<BlendRule>,
+    /// Replace NaN, infinite and negative pixels instead of refusing the image
+    #[arg(long, num_args = 0, default_missing_value = "true")]
+    pub repair_pixels: Option<bool>,
+    /// Refuse a bake that needs more memory than this, GiB [default: what the machine has free]
+    #[arg(long, value_name = "GIB")]
+    pub max_memory: Option<f64>,
+}
+
+/// Where nodes stand.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "String")]
+pub enum NodeKind {
+    Grid,
+    Vertices,
+    Points(PathBuf),
+}
+
+impl TryFrom<String> for NodeKind {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl std::str::FromStr for NodeKind {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "grid" => Ok(NodeKind::Grid),
+            None if text == "vertices" => Ok(NodeKind::Vertices),
+            Some(("points", file)) if !file.is_empty() => Ok(NodeKind::Points(file.into())),
+            _ => Err(format!("'{text}': expected grid, vertices or points:FILE.csv")),
+        }
+    }
+}
+
+/// One `[[probe]]` of BAKE.toml.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProbeEntry {
+    pub image: PathBuf,
+    /// World metres; wins over the image's own.
+    pub position: Option<[f64; 3]>,
+    /// Quaternion x y z w, probe to world; wins over the image's own.
+    pub rotation: Option<[f64; 4]>,
+    #[serde(default)]
+    pub exposure_stops: f32,
+    /// How the image maps directions, by name (lat-long, angular, cube-strip …).
+    pub mapping: Option<String>,
+}
+
+/// The distant panorama: a path, or a table like a probe's without position.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(untagged)]
+pub enum DistantEntry {
+    Image(PathBuf),
+    Placed(ProbeEntry),
+}
+
+/// A BAKE.toml.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct BakeFile {
+    level: Option<PathBuf>,
+    output: Option<PathBuf>,
+    environment: Option<PathBuf>,
+    distant: Option<DistantEntry>,
+    probes: Vec<PathBuf>,
+    probe: Vec<ProbeEntry>,
+    grid: GridFlags,
+    quality: QualityFlags,
+}
+
+/// Everything that was asked for, paths resolved.
+#[derive(Debug)]
+pub struct Config {
+    pub level: PathBuf,
+    pub output: PathBuf,
+    pub environment: Option<PathBuf>,
+    pub distant: Option<ProbeEntry>,
+    pub probes: Vec<PathBuf>,
+    pub placed_probes: Vec<ProbeEntry>,
+    pub grid: GridFlags,
+    pub quality: QualityFlags,
+}
+
+/// Flags of `bake` that name files.
+#[derive(Args, Clone, Debug)]
+pub struct FileFlags {
+    /// LEVEL.glb, LEVEL.gltf or BAKE.toml
+    pub input: PathBuf,
+    /// The volume to write [default: beside the input, ending in .gdibl]
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable
+    #[arg(long, value_name = "PATH")]
+    pub probes: Vec<PathBuf>,
+    /// Panorama at infinity: the sky, the street outside
+    #[arg(long, value_name = "IMAGE")]
+    pub distant: Option<PathBuf>,
+    /// Other geometry for the environment (a proxy) [default: the level's nodes by role]
+    #[arg(long, value_name = "FILE")]
+    pub environment: Option<PathBuf>,
+}
+
+impl Config {
+    /// Reads BAKE.toml if that is the input, and lets flags win.
+    pub fn new(files: FileFlags, grid: GridFlags, quality: QualityFlags) -> Result<Config, Fault> {
+        let input = files.input;
+        let (mut file, folder) = if is_level(&input)? {
+            (BakeFile { level: Some(input.clone()), ..BakeFile::default() }, PathBuf::new())
+        } else {
+            let folder = input.parent().unwrap_or(Path::new("")).to_path_buf();
+            (BakeFile::read(&input, &folder)?, folder)
+        };
+        let Some(level) = file.level.take() else {
+            return Err(Fault::Invalid(format!("{}: names no level; add: level = \"LEVEL.glb\"", input.display())));
+        };
+        let distant = file.distant.map(|distant| match distant {
+            DistantEntry::Image(image) => ProbeEntry { image: folder.join(image), ..ProbeEntry::default() },
+            DistantEntry::Placed(entry) => ProbeEntry { image: folder.join(&entry.image), ..entry },
+        });
+        // Probes named on the command line replace the file's.
+        let by_flag = !files.probes.is_empty();
+        Ok(Config {
+            output: files.output.or(file.output).unwrap_or_else(|| input.with_extension("gdibl")),
+            level,
+            environment: files.environment.or(file.environment),
+            distant: files.distant.map(|image| ProbeEntry { image, ..ProbeEntry::default() }).or(distant),
+            probes: if by_flag { files.probes } else { file.probes },
+            placed_probes: if by_flag { Vec::new() } else { file.probe },
+            grid: grid.or(file.grid)?,
+            quality: quality.or(file.quality),
+        })
+    }
+}
+
+impl BakeFile {
+    fn read(path: &Path, folder: &Path) -> Result<BakeFile, Fault> {
+        let bytes = std::fs::read(path).map_err(|error| Fault::reading(path, &error))?;
+        let invalid = |message: String| Fault::Invalid(format!("{}: {message}", path.display()));
+        let text =
+            String::from_utf8(bytes).map_err(|_| invalid("is neither glTF (binary or JSON) nor a BAKE.toml".into()))?;
+        let mut file: BakeFile = toml::from_str(&text).map_err(|error| invalid(error.to_string()))?;
+        let resolve = |path: &mut PathBuf| *path = folder.join(&*path);
+        file.level.iter_mut().for_each(resolve);
+        file.output.iter_mut().for_each(resolve);
+        file.environment.iter_mut().for_each(resolve);
+        file.probes.iter_mut().for_each(resolve);
+        file.probe.iter_mut().for_each(|probe| resolve(&mut probe.image));
+        if let Some(NodeKind::Points(points)) = &mut file.grid.nodes {
+            resolve(points);
+        }
+        Ok(file)
+    }
+}
+
+/// Levels are told from BAKE.toml by their first bytes.
+fn is_level(path: &Path) -> Result<bool, Fault> {
+    use std::io::Read;
+    let mut start = Vec::new();
+    let read = std::fs::File::open(path).and_then(|file| file.take(64).read_to_end(&mut start));
+    read.map_err(|error| Fault::reading(path, &error))?;
+    let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&start);
+    Ok(start.starts_with(b"glTF") || text.trim_ascii_start().starts_with(b"{"))
+}
+
+impl GridFlags {
+    fn or(self, file: GridFlags) -> Result<GridFlags, Fault> {
+        // A spacing by flag replaces counts of the file, and the other way round; both in one place contradict.
+        for one in [&self, &file] {
+            if one.spacing.is_some() && one.counts.is_some() {
+                return Err(Fault::Usage("spacing and counts contradict each other: give one of them".into()));
+            }
+        }
+        let by_flag = self.spacing.is_some() || self.counts.is_some();
+        Ok(GridFlags {
+            nodes: self.nodes.or(file.nodes),
+            bounds: self.bounds.or(file.bounds),
+            spacing: if by_flag { self.spacing } else { file.spacing },
+            counts: if by_flag { self.counts } else { file.counts },
+        })
+    }
+}
+
+impl QualityFlags {
+    fn or(self, file: QualityFlags) -> QualityFlags {
+        QualityFlags {
+            samples: self.samples.or(file.samples),
+            target_error: self.target_error.or(file.target_error),
+            seed: self.seed.or(file.seed),
+            threads: self.threads.or(file.threads),
+            sampler: self.sampler.or(file.sampler),
+            scene: self.scene.or(file.scene),
+            sh: self.sh.or(file.sh),
+            precision: self.precision.or(file.precision),
+            zstd: self.zstd.or(file.zstd),
+            blend: self.blend.or(file.blend),
+            repair_pixels: self.repair_pixels.or(file.repair_pixels),
+            max_memory: self.max_memory.or(file.max_memory),
+        }
+    }
+}
+
+fn parse_sampler(text: &str) -> Result<Sampler, String> {
+    match text {
+        "sobol" => Ok(Sampler::Sobol),
+        "random" => Ok(Sampler::Random),
+        _ => Err("expected sobol or random".into()),
+    }
+}
+
+fn parse_scene_hit(text: &str) -> Result<SceneHit, String> {
+    match text.split_once(':') {
+        None if text == "occlude" => Ok(SceneHit::Occlude),
+        None if text == "recurse" => Ok(SceneHit::default()),
+        // Deeper than this, what is left of the light is under a millionth even at albedo 0.8.
+        Some(("recurse", depth)) => match depth.parse() {
+            Ok(depth @ 0..=64) => Ok(SceneHit::Recurse(depth)),
+            _ => Err("the depth of recurse:DEPTH must be 0 to 64".into()),
+        },
+        _ => Err("expected recurse:DEPTH or occlude".into()),
+    }
+}
+
+fn parse_bands(text: &str) -> Result<u32, String> {
+    match text {
+        "L0" => Ok(0),
+        "L1" => Ok(1),
+        "L2" => Ok(2),
+        "L3" => Ok(3),
+        "L4" => Ok(4),
+        _ => Err("expected L0, L1, L2, L3 or L4".into()),
+    }
+}
+
+fn parse_precision(text: &str) -> Result<Precision, String> {
+    match text {
+        "f16" => Ok(Precision::F16),
+        "f32" => Ok(Precision::F32),
+        _ => Err("expected f16 or f32".into()),
+    }
+}
+
+fn parse_blend(text: &str) -> Result<BlendRule, String> {
+    text.parse()
+}
+
+/// The flags' parsers, for BAKE.toml.
+mod text {
+    use serde::{Deserialize, Deserializer, de::Error};
+
+    fn parsed<'de, D: Deserializer<'de>, T>(
+        deserializer: D,
+        parse: impl Fn(&str) -> Result<T, String>,
+    ) -> Result<Option<T>, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        parse(&text).map(Some).map_err(|why| D::Error::custom(format!("'{text}': {why}")))
+    }
+
+    macro_rules! parsers {
+        ($($name:ident: $type:ty = $parse:ident),+) => {$(
+            pub fn $name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<$type>, D::Error> {
+                parsed(deserializer, super::$parse)
+            }
+        )+};
+    }
+    parsers! {
+        sampler: super::Sampler = parse_sampler,
+        scene_hit: super::SceneHit = parse_scene_hit,
+        bands: u32 = parse_bands,
+        precision: super::Precision = parse_precision,
+        blend: super::BlendRule = parse_blend
+    }
+}

@@ -1,0 +1,73 @@
+//! Why a verb failed, and the exit code it ends with.
+
+use std::io::ErrorKind;
+use std::path::Path;
+
+/// Each variant is an exit code.
+#[derive(Debug)]
+pub enum Fault {
+    /// 1: disk, memory.
+    System(String),
+    /// 2: the command line or BAKE.toml asks for something that makes no sense.
+    Usage(String),
+    /// 3: a file is missing, damaged or contradicts itself.
+    Invalid(String),
+    /// 4: a file is fine, but gdibl does not read its kind.
+    Unsupported(String),
+    /// 5: done, but a bound that was asked for was not met.
+    Bound(String),
+    /// 130: the user stopped it.
+    Interrupted,
+}
+
+impl Fault {
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Fault::System(_) => 1,
+            Fault::Usage(_) => 2,
+            Fault::Invalid(_) => 3,
+            Fault::Unsupported(_) => 4,
+            Fault::Bound(_) => 5,
+            Fault::Interrupted => 130,
+        }
+    }
+
+    /// An input file could not be read: missing ones are the caller's mistake, the rest the system's.
+    pub fn reading(path: &Path, error: &std::io::Error) -> Fault {
+        let message = format!("{}: {error}", path.display());
+        match error.kind() {
+            ErrorKind::NotFound | ErrorKind::IsADirectory | ErrorKind::NotADirectory | ErrorKind::InvalidData => {
+                Fault::Invalid(message)
+            }
+            _ => Fault::System(message),
+        }
+    }
+
+    /// An output could not be written.
+    pub fn writing(path: &Path, error: &std::io::Error) -> Fault {
+        Fault::System(format!("{}: cannot write: {error}", path.display()))
+    }
+}
+
+impl std::fmt::Display for Fault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Fault::System(message)
+            | Fault::Usage(message)
+            | Fault::Invalid(message)
+            | Fault::Unsupported(message)
+            | Fault::Bound(message) => f.write_str(message),
+            Fault::Interrupted => f.write_str("interrupted; nothing was written"),
+        }
+    }
+}
+
+impl From<gdibl_baker::Error> for Fault {
+    fn from(error: gdibl_baker::Error) -> Self {
+        match &error {
+            gdibl_baker::Error::Unsupported { .. } => Fault::Unsupported(error.to_string()),
+            gdibl_baker::Error::Invalid { .. } => Fault::Invalid(error.to_string()),
+            gdibl_baker::Error::Io { path, source } => Fault::reading(path, source),
+        }
+    }
+}

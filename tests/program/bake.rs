@@ -1,0 +1,251 @@
+//! What `bake`, `sample` and `inspect` promise: the same bytes, the same numbers, the promised keys.
+
+use crate::common::{Folder, Level, csv_of, solid_of};
+use gdibl_runtime::{Volume, sh};
+use serde_json::{Value, json};
+
+/// A room with two coloured probes: no two nodes are alike.
+fn coloured_room() -> Folder {
+    let folder = Folder::new();
+    Level::room([-2.0, -1.0, -3.0], [2.0, 2.0, 1.5]).write(&folder, "room.glb");
+    folder.panorama("a.exr", 32, Some([-1.0, 0.0, -2.0]), |d| [1.0 + d.x as f32, 1.5 + d.y as f32, 0.5]);
+    folder.panorama("b.exr", 16, Some([1.0, 0.5, 0.5]), |d| [2.0 + d.z as f32, 1.0, 1.0 + d.x as f32 * 0.5]);
+    folder
+}
+
+const PROBES: [&str; 5] = ["room.glb", "--probes", "a.exr", "--probes", "b.exr"];
+/// Nodes on the walls themselves see the outside.
+const INSIDE: [&str; 2] = ["--bounds", "-1.5,-0.5,-2.5,1.5,1.5,1"];
+
+fn volume_of(folder: &Folder, name: &str) -> Volume {
+    Volume::parse(&folder.read(name)).expect("a volume")
+}
+
+#[test]
+fn bytes_depend_neither_on_threads_nor_on_the_run_but_on_the_seed() {
+    let folder = coloured_room();
+    let bake = |output: &str, more: &[&str]| {
+        let common = ["--counts", "5,3,4", "--samples", "300", "-o", output, "--quiet"];
+        folder.ok(&[&["bake"], &PROBES[..], &common, more].concat());
+        folder.read(output)
+    };
+    let one = bake("1.gdibl", &["--threads", "1"]);
+    for (run, threads) in ["1", "2", "7"].iter().enumerate() {
+        assert!(one == bake(&format!("again{run}.gdibl"), &["--threads", threads]), "{threads} threads");
+    }
+    let seeded = |seed| Volume::parse(&bake("seed.gdibl", &["--seed", seed])).unwrap().node_sh(7).coefficients;
+    assert_ne!(seeded("1"), Volume::parse(&one).unwrap().node_sh(7).coefficients);
+    assert_ne!(seeded("1"), seeded("2"));
+}
+
+/// `sample --sh` at the nodes against the coefficients in the file.
+fn assert_sampled_as_baked(folder: &Folder, name: &str) {
+    let volume = volume_of(folder, name);
+    assert!(volume.node_count() > 0);
+    let places: Vec<[f64; 3]> = (0..volume.node_count()).map(|node| volume.node_position(node)).collect();
+    let sampled = folder.coefficients(name, &places);
+    let count = sh::coefficient_count(volume.header().bands);
+    for (node, row) in sampled.iter().enumerate() {
+        assert_eq!(row.len(), 3 * count + 1, "coefficients and validity");
+        let stored = volume.node_sh(node).coefficients;
+        for (found, expected) in row.iter().zip(stored[..count].iter().flatten()) {
+            // A trilinear weight may be an ulp from 1.
+            assert!((found - f64::from(*expected)).abs() < 1e-5, "node {node}: {found} for {expected}");
+        }
+        assert_eq!(row[3 * count], 1.0);
+    }
+    assert_ne!(sampled[0], sampled[1], "nodes differ");
+}
+
+#[test]
+fn sample_returns_at_grid_nodes_what_was_baked() {
+    let folder = coloured_room();
+    folder.bake(&[&PROBES[..], &["--spacing", "1.6", "--samples", "256", "--sh", "L3", "--precision", "f32"]].concat());
+    assert_eq!(folder.inspect("room.gdibl")["grid"]["counts"], json!([4, 3, 4]), "spacing shrinks to fit");
+    assert_sampled_as_baked(&folder, "room.gdibl");
+}
+
+#[test]
+fn sample_returns_at_points_what_was_baked_there() {
+    let folder = coloured_room();
+    let points = [[0.0, 0.0, 0.0], [1.25, 1.5, -2.0], [-1.75, -0.5, 1.0], [0.3, 0.1, 0.2]];
+    folder.write("points.csv", csv_of(&points));
+    folder.bake(&[&PROBES[..], &["--nodes", "points:points.csv", "--samples", "256", "--sh", "L4"]].concat());
+    let volume = volume_of(&folder, "room.gdibl");
+    for (node, point) in points.iter().enumerate() {
+        let found = volume.node_position(node);
+        assert!((0..3).all(|axis| (found[axis] - point[axis]).abs() < 1e-6), "in the file's order: {found:?}");
+    }
+    assert_sampled_as_baked(&folder, "room.gdibl");
+    // Anywhere else the nearest point answers.
+    let near = folder.coefficients("room.gdibl", &[[1.2, 1.4, -1.9], points[1]]);
+    assert_eq!(near[0], near[1]);
+}
+
+#[test]
+fn vertex_sets_follow_the_meshes_and_each_corner_keeps_its_own_side() {
+    let folder = coloured_room();
+    let mut level = Level::room([-2.0, -1.0, -3.0], [2.0, 2.0, 1.5]);
+    level.scene_object(&solid_of([0.2; 3], [0.4; 3]), 0);
+    level.write(&folder, "room.glb");
+    let report = folder.bake(&[&PROBES[..], &["--nodes", "vertices", "--samples", "1024"]].concat());
+    assert_eq!(report["nodes"], 72, "two boxes of 36 corners");
+    let volume = volume_of(&folder, "room.gdibl");
+    assert_eq!(volume.vertex_sets().len(), 2);
+    for (node, mesh) in [(0, 0), (1, 1)] {
+        assert_eq!(volume.vertex_set(node, mesh, 0).map(|set| set.len()), Some(36));
+    }
+    // Three faces meet in a corner: sample tells them apart by normal.
+    let places: Vec<[f64; 6]> = (0..36)
+        .map(|node| {
+            let (p, n) = (volume.node_position(node), volume.node_normal(node).unwrap().map(f64::from));
+            [p[0], p[1], p[2], n[0], n[1], n[2]]
+        })
+        .collect();
+    let found = folder.irradiance("room.gdibl", &places);
+    for (node, row) in found.iter().enumerate() {
+        // Two triangles of a face share a corner with one place and normal; either may answer.
+        let same_side = (0..36).filter(|&other| places[other] == places[node]);
+        let matches = same_side.filter(|&other| {
+            let own = volume.node_sh(other).convolve().evaluate(volume.node_normal(node).unwrap());
+            row.iter().zip(own).all(|(e, own)| (e - f64::from(own)).abs() < 1e-5)
+        });
+        assert_eq!(matches.count(), 1, "vertex {node}: {row:?}");
+    }
+}
+
+#[test]
+fn vertices_of_a_closed_room_see_nothing_of_the_sky() {
+    // Corners lie exactly in the planes of the neighbouring walls: rays from there left the room.
+    let folder = Folder::new();
+    Level::room([-2.0, -1.0, -3.0], [2.0, 2.0, 1.5]).write(&folder, "room.glb");
+    folder.sky("sky.exr", [1e4; 3]);
+    folder.constant("dark.exr", [0.3, 0.4, 0.5], [0.0; 3]);
+    let arguments = ["room.glb", "--distant", "sky.exr", "--probes", "dark.exr", "--nodes", "vertices"];
+    let report = folder.bake(&arguments);
+    assert_eq!(report["nodes_valid"], 36);
+    assert!(report["coverage"].as_f64().unwrap() > 0.999, "{}", report["coverage"]);
+    let volume = volume_of(&folder, "room.gdibl");
+    for node in 0..36 {
+        assert!(volume.node_sh(node).coefficients.iter().flatten().all(|c| *c == 0.0), "vertex {node}");
+    }
+}
+
+#[test]
+fn bake_json_has_the_promised_keys_with_plausible_values() {
+    let folder = coloured_room();
+    let report =
+        folder.bake(&[&PROBES[..], &INSIDE, &["--counts", "2,2,2", "--samples", "512", "--seed", "9"]].concat());
+    assert_eq!(report["nodes"], 8);
+    assert_eq!(report["nodes_valid"], 8);
+    assert_eq!(report["sh"], "L2");
+    assert_eq!(report["seed"], 9);
+    assert_eq!(report["bytes"], folder.read("room.gdibl").len());
+    // Every direction is a ray, and a line of sight or two.
+    let rays = report["rays"].as_u64().unwrap();
+    assert!((2 * 8 * 512..=3 * 8 * 512).contains(&rays), "{rays}");
+    assert!(report["wall_seconds"].as_f64().unwrap() > 0.0);
+    assert!(report["cpu_seconds"].as_f64().unwrap() > 0.0);
+    assert_eq!(report["coverage"], 1.0);
+    let error = |key: &str| report["relative_error"][key].as_f64().unwrap();
+    assert!(0.0 < error("median") && error("median") <= error("p95") && error("p95") <= error("max"));
+    assert!(error("max") < 0.05, "{}", error("max"));
+    let plan = report["plan"].as_array().unwrap();
+    assert!(!plan.is_empty());
+    for row in plan {
+        assert!(row["stage"].is_string() && row["kept"].is_boolean() && row["why"].is_string(), "{row}");
+    }
+}
+
+#[test]
+fn inspect_json_tells_what_is_in_the_file() {
+    let folder = coloured_room();
+    folder.bake(&[&PROBES[..], &["--counts", "2,3,2", "--samples", "64", "--blend", "distance:2", "--zstd"]].concat());
+    let found = folder.inspect("room.gdibl");
+    assert_eq!(found["kind"], "grid");
+    assert_eq!(found["version"], 1);
+    assert_eq!(found["grid"]["counts"], json!([2, 3, 2]));
+    assert_eq!(found["min"], json!([-2.0, -1.0, -3.0]));
+    assert_eq!(found["max"], json!([2.0, 2.0, 1.5]));
+    assert_eq!((&found["sh"], &found["precision"]), (&json!("L2"), &json!("f16")));
+    assert_eq!(found["settings"]["samples"], 64);
+    assert_eq!(found["settings"]["blend"], "distance:2");
+    assert_eq!(found["settings"]["level"], "room.glb");
+    let names: Vec<&Value> = found["probes"].as_array().unwrap().iter().map(|probe| &probe["name"]).collect();
+    assert_eq!(names, ["a.exr", "b.exr"]);
+    assert_eq!(found["statistics"]["nodes"], 12);
+    assert_eq!(found["volume"]["nodes"], 12);
+    assert!(found["sections"].as_array().unwrap().iter().any(|s| s["id"] == "RSH"), "{}", found["sections"]);
+    // For people: the same, in lines.
+    let text = folder.ok(&["inspect", "room.gdibl"]);
+    for word in ["grid of 2 x 3 x 2", "a.exr", "distance:2"] {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+}
+
+#[test]
+fn compressed_file_holds_the_same_light() {
+    let folder = coloured_room();
+    let common = ["--counts", "3,3,3", "--samples", "64", "-o"];
+    folder.bake(&[&PROBES[..], &common, &["plain.gdibl"]].concat());
+    folder.bake(&[&PROBES[..], &common, &["small.gdibl", "--zstd"]].concat());
+    let (plain, small) = (volume_of(&folder, "plain.gdibl"), volume_of(&folder, "small.gdibl"));
+    for node in 0..27 {
+        assert_eq!(plain.node_sh(node), small.node_sh(node));
+    }
+    assert!(folder.read("small.gdibl").len() < folder.read("plain.gdibl").len());
+}
+
+#[test]
+fn target_error_stops_before_the_cap_and_is_met() {
+    let folder = coloured_room();
+    let grid = ["--counts", "3,2,2"];
+    let report = folder.bake(&[&PROBES[..], &grid, &["--target-error", "0.02"]].concat());
+    let samples = report["samples"].as_u64().unwrap();
+    assert!((12 * 256..12 * 4096).contains(&samples), "{samples} of at most {}", 12 * 65_536);
+    assert!(report["relative_error"]["max"].as_f64().unwrap() <= 0.02);
+    // A tighter target takes more.
+    let tighter = folder.bake(&[&PROBES[..], &grid, &["--target-error", "0.002"]].concat());
+    assert!(tighter["samples"].as_u64().unwrap() > samples);
+    assert!(tighter["relative_error"]["max"].as_f64().unwrap() <= 0.002);
+}
+
+#[test]
+fn target_error_out_of_reach_ends_with_5_and_writes_the_volume() {
+    let folder = coloured_room();
+    let arguments = ["--counts", "2,2,2", "--target-error", "1e-7", "--samples", "512"];
+    let run = folder.run(&[&["bake"], &PROBES[..], &arguments].concat());
+    assert_eq!(run.code, 5, "{}", run.err);
+    assert!(run.err.contains("8 of 8 nodes missed"), "{}", run.err);
+    assert_eq!(folder.inspect("room.gdibl")["statistics"]["samples"], 8 * 512);
+}
+
+#[test]
+fn plan_is_printed_and_nothing_is_written() {
+    let folder = coloured_room();
+    let before = folder.names();
+    let text = folder.ok(&[&["bake"], &PROBES[..], &["--plan"]].concat());
+    for stage in ["textures", "environment", "lines-of-sight", "blending", "distant", "recursion", "transparency"] {
+        assert!(text.lines().any(|line| line.starts_with(stage)), "{stage} in\n{text}");
+    }
+    assert_eq!(folder.names(), before);
+    let rows = folder.ok(&[&["bake"], &PROBES[..], &["--plan", "--json"]].concat());
+    let rows: Value = serde_json::from_str(&rows).unwrap();
+    let kept = |stage: &str| {
+        let row = rows.as_array().unwrap().iter().find(|row| row["stage"] == stage);
+        row.unwrap_or_else(|| panic!("{stage}"))["kept"].as_bool().unwrap()
+    };
+    assert!(kept("environment") && kept("blending") && !kept("recursion") && !kept("textures"));
+    // The plan that was stored is the plan that was printed.
+    folder.bake(&[&PROBES[..], &["--counts", "1,1,1"]].concat());
+    assert_eq!(folder.inspect("room.gdibl")["plan"], rows);
+}
+
+#[test]
+fn one_sample_bakes_without_a_standard_error() {
+    let folder = coloured_room();
+    let report = folder.bake(&[&PROBES[..], &INSIDE, &["--counts", "2,2,2", "--samples", "1"]].concat());
+    assert_eq!(report["relative_error"], Value::Null);
+    assert_eq!(report["nodes_valid"], 8);
+    assert!(folder.inspect("room.gdibl")["volume"]["relative_error"].is_null());
+}

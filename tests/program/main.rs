@@ -1,0 +1,10 @@
+//! The whole program, from files to files.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod bake;
+mod config;
+mod furnace;
+mod light;
+mod reader;

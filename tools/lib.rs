@@ -1,1 +1,146 @@
-//! What the tools share: reading reference data and printing tables.
+//! What the tools share: the uffizi box with its reference, and baking it.
+
+use gdibl_baker::analyse::radiance_sh;
+use gdibl_baker::bake::{BakeSettings, Baked, Control, Nodes, bake};
+use gdibl_baker::import::gltf::{GltfOptions, read_level};
+use gdibl_baker::import::image::{ReadOptions, read_image};
+use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
+use gdibl_baker::radiance::gdibl::{Distant, Gdibl, Probe};
+use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
+use gdibl_baker::scene::Scene;
+use gdibl_baker::volume::{PackSettings, Precision, pack};
+use gdibl_runtime::{RadianceSh, Volume};
+use glam::{DVec3, Quat};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// Where the three probes of the box were taken, world metres.
+pub const BOX_PROBES: [DVec3; 3] =
+    [DVec3::new(0.0, 1.0, 2.999), DVec3::new(0.0, 1.0, 0.0), DVec3::new(0.0, 1.0, -2.999)];
+
+/// Path-traced truth of the box: radiance SH at nodes, irradiance on the spheres.
+#[derive(serde::Deserialize)]
+pub struct Reference {
+    /// 64 nodes on a lattice.
+    pub grid: ReferenceNodes,
+    /// 64 nodes anywhere.
+    pub scattered: ReferenceNodes,
+    /// E on the spheres, which block and reflect.
+    pub sphere_irradiance_with_spheres: ReferenceIrradiance,
+    /// E at the same places and normals of the empty box.
+    pub sphere_irradiance_empty_box: ReferenceIrradiance,
+}
+
+/// Radiance SH to L2 at nodes.
+#[derive(serde::Deserialize)]
+pub struct ReferenceNodes {
+    /// World metres.
+    pub position: Vec<[f64; 3]>,
+    /// `[node][coefficient][rgb]`.
+    pub sh: Vec<Vec<[f32; 3]>>,
+}
+
+/// Irradiance on surfaces.
+#[derive(serde::Deserialize)]
+pub struct ReferenceIrradiance {
+    /// World metres.
+    pub position: Vec<[f64; 3]>,
+    /// Unit normals.
+    pub normal: Vec<[f32; 3]>,
+    /// Linear RGB.
+    pub irradiance: Vec<[f32; 3]>,
+}
+
+impl Reference {
+    /// From `reference.json`.
+    pub fn read(path: &Path) -> Reference {
+        let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+    }
+
+    /// Grid and scattered nodes together: positions and truth.
+    pub fn nodes(&self) -> (Vec<DVec3>, Vec<RadianceSh>) {
+        let both = [&self.grid, &self.scattered];
+        let positions = both.iter().flat_map(|n| n.position.iter().map(|p| DVec3::from(*p))).collect();
+        (positions, both.iter().flat_map(|n| n.sh.iter().map(|sh| radiance_sh(2, sh.iter().copied()))).collect())
+    }
+}
+
+/// A panorama in its own orientation.
+pub fn read_panorama(path: &Path) -> Panorama {
+    let imported = read_image(path, &ReadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+    to_lat_long(&imported.image, imported.mapping.unwrap_or(Mapping::LatLong), None)
+}
+
+/// A level, or the end of the tool.
+pub fn read_scene(path: &Path) -> Scene {
+    read_level(path, &GltfOptions::default()).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// `probe_0.exr` to `probe_2.exr` and `distant.exr` of a lighting of the box.
+pub fn read_lighting(folder: &Path) -> (Vec<Probe>, Distant) {
+    let probes = BOX_PROBES.iter().enumerate().map(|(i, &position)| Probe {
+        name: format!("probe_{i}.exr"),
+        position,
+        rotation: Quat::IDENTITY,
+        exposure_stops: 0.0,
+        panorama: read_panorama(&folder.join(format!("probe_{i}.exr"))),
+    });
+    let distant = Distant {
+        name: "distant.exr".into(),
+        rotation: Quat::IDENTITY,
+        exposure_stops: 0.0,
+        panorama: read_panorama(&folder.join("distant.exr")),
+    };
+    (probes.collect(), distant)
+}
+
+/// Bakes to the end.
+pub fn bake_all(function: &Gdibl, nodes: &Nodes, settings: &BakeSettings) -> Baked {
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let origin = |node: usize| nodes.ray_origin(node, function.frame());
+    bake(
+        nodes,
+        function,
+        &|node, direction, context: &mut _| function.radiance(origin(node), direction, context),
+        settings,
+        &control,
+    )
+    .expect("nobody interrupts a tool")
+}
+
+/// The nodes of a bake as radiance SH.
+pub fn baked_sh(baked: &Baked) -> Vec<RadianceSh> {
+    let node = |i| radiance_sh(baked.bands, baked.node(i).chunks_exact(3).map(|c| [c[0], c[1], c[2]]));
+    (0..baked.valid.len()).map(node).collect()
+}
+
+/// What an engine would load: packed in single floats and parsed again.
+pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
+    let records = Records {
+        settings: SettingsRecord {
+            writer: "gdibl tools".into(),
+            level: String::new(),
+            method: "gdibl".into(),
+            blend: String::new(),
+            scene: String::new(),
+            sampler: String::new(),
+            samples: baked.samples,
+            target_error: None,
+            seed: 0,
+        },
+        plan: Vec::new(),
+        probes: Vec::new(),
+        statistics: StatisticsRecord {
+            nodes: baked.valid.len() as u64,
+            nodes_valid: baked.valid.iter().filter(|v| **v).count() as u64,
+            rays: baked.rays,
+            samples: baked.samples,
+            relative_error: None,
+            coverage: 0.0,
+            findings: Vec::new(),
+        },
+    };
+    let settings = PackSettings { precision: Precision::F32, zstd: false };
+    Volume::parse(&pack(nodes, baked, &records, settings)).expect("what was packed parses")
+}

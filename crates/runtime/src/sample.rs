@@ -47,7 +47,7 @@ impl Volume {
         match self.header.kind {
             Kind::Grid => self.sample_grid(&self.header.grid().locate(position)),
             Kind::Points | Kind::Vertices => {
-                let node = self.nearest_node(position, normal);
+                let node = self.nearest(position, normal);
                 Sample {
                     sh: self.node_sh(node),
                     validity: if self.is_valid(node) { 1.0 } else { 0.0 },
@@ -61,6 +61,12 @@ impl Volume {
     /// [`IrradianceSh::evaluate`](crate::IrradianceSh::evaluate).
     pub fn irradiance(&self, position: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
         self.sample(position, normal).sh.convolve().evaluate(normal)
+    }
+
+    /// The point or vertex that [`sample_f64`](Volume::sample_f64) answers with, however far it is; None in a grid, which
+    /// answers between its nodes.
+    pub fn nearest_node(&self, position: [f64; 3], normal: [f32; 3]) -> Option<usize> {
+        (self.header.kind != Kind::Grid).then(|| self.nearest(position, normal))
     }
 
     fn sample_grid(&self, cell: &Cell) -> Sample {
@@ -113,7 +119,7 @@ impl Volume {
     }
 
     /// The nearest point or vertex.
-    fn nearest_node(&self, position: [f64; 3], normal: [f32; 3]) -> usize {
+    fn nearest(&self, position: [f64; 3], normal: [f32; 3]) -> usize {
         let query = core::array::from_fn(|axis| {
             let offset = position[axis] - self.header.min[axis];
             if offset.is_finite() { offset } else { 0.0 }

@@ -167,6 +167,7 @@ fn points_answer_with_the_nearest_point() {
         for position in [place, near] {
             let sample = volume.sample_f64(position, UP);
             assert_eq!(sample.sh, volume.node_sh(node));
+            assert_eq!(volume.nearest_node(position, UP), Some(node));
             assert_eq!(sample.validity, if node == 2 { 0.0 } else { 1.0 });
         }
     }
@@ -192,5 +193,6 @@ fn irradiance_is_that_of_the_sample() {
     for position in positions() {
         let sh: RadianceSh = volume.sample(position, UP).sh;
         assert_eq!(volume.irradiance(position, UP), sh.convolve().evaluate(UP));
+        assert_eq!(volume.nearest_node(position.map(f64::from), UP), None, "a grid answers between its nodes");
     }
 }

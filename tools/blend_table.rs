@@ -3,11 +3,12 @@
 //! `cargo run --release -p gdibl-tools --bin blend_table -- FOLDER [SAMPLES]`; FOLDER holds `level.glb` or is a
 //! lighting of the box beside it: probe_0..2.exr, distant.exr, reference.json, and the empty box as LEVEL.
 
-use gdibl_baker::analyse::compare_irradiance;
+use gdibl_baker::analyse::{CompareSettings, compare};
 use gdibl_baker::bake::{BakeSettings, Nodes};
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
-use gdibl_tools::{Reference, bake_all, baked_sh, read_lighting, read_scene};
+use gdibl_tools::{bake_all, read_lighting, read_scene, read_truth, volume_of};
+use glam::DVec3;
 use std::path::Path;
 
 const RULES: [&str; 10] = [
@@ -33,8 +34,8 @@ fn main() {
     let rules: Vec<&str> = if rest.len() > 1 { rest[1..].iter().map(String::as_str).collect() } else { RULES.into() };
     let scene = read_scene(Path::new(level));
     let (probes, distant) = read_lighting(Path::new(folder));
-    let (positions, truth) = Reference::read(&Path::new(folder).join("reference.json")).nodes();
-    let nodes = Nodes::Points(positions);
+    let truth = read_truth(Path::new(folder), &["grid", "scattered"]);
+    let nodes = Nodes::Points(truth.iter().flat_map(|set| set.positions.iter().map(|p| DVec3::from(*p))).collect());
     let settings = BakeSettings { samples, ..BakeSettings::default() };
     println!("| blend | relative RMSE | median node | 95th percentile | worst node | bias | rays per direction |");
     println!("|---|---|---|---|---|---|---|");
@@ -42,7 +43,11 @@ fn main() {
         let blend: BlendRule = rule.parse().expect("a blend rule");
         let function = Gdibl::new(&scene, &probes, Some(&distant), GdiblSettings { blend, ..GdiblSettings::default() });
         let baked = bake_all(&function, &nodes, &settings);
-        let error = compare_irradiance(&baked_sh(&baked), &truth);
+        let comparison = compare(&volume_of(&nodes, &baked), &truth, &CompareSettings::default());
+        let comparison = comparison.unwrap_or_else(|nothing| panic!("{nothing}"));
+        let error = comparison.all;
+        let places = comparison.places;
+        assert_eq!(places.compared, places.truth, "every place was baked");
         let percent = |share: f64| format!("{:.2} %", share * 100.0);
         println!(
             "| {rule} | {} | {} | {} | {} | {:+.2} % | {:.2} |",

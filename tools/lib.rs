@@ -1,15 +1,16 @@
-//! What the tools share: the uffizi box with its reference, and baking it.
+//! What the tools share: the uffizi box with its truth, and baking it.
 
-use gdibl_baker::analyse::radiance_sh;
+use gdibl_baker::analyse::{Truth, choose_sets};
 use gdibl_baker::bake::{BakeSettings, Baked, Control, Nodes, bake};
 use gdibl_baker::import::gltf::{GltfOptions, read_level};
 use gdibl_baker::import::image::{ReadOptions, read_image};
+use gdibl_baker::import::reference::read_reference;
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
 use gdibl_baker::radiance::gdibl::{Distant, Gdibl, Probe};
 use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::volume::{PackSettings, Precision, pack};
-use gdibl_runtime::{RadianceSh, Volume};
+use gdibl_runtime::Volume;
 use glam::{DVec3, Quat};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -18,52 +19,11 @@ use std::sync::atomic::AtomicBool;
 pub const BOX_PROBES: [DVec3; 3] =
     [DVec3::new(0.0, 1.0, 2.999), DVec3::new(0.0, 1.0, 0.0), DVec3::new(0.0, 1.0, -2.999)];
 
-/// Path-traced truth of the box: radiance SH at nodes, irradiance on the spheres.
-#[derive(serde::Deserialize)]
-pub struct Reference {
-    /// 64 nodes on a lattice.
-    pub grid: ReferenceNodes,
-    /// 64 nodes anywhere.
-    pub scattered: ReferenceNodes,
-    /// E on the spheres, which block and reflect.
-    pub sphere_irradiance_with_spheres: ReferenceIrradiance,
-    /// E at the same places and normals of the empty box.
-    pub sphere_irradiance_empty_box: ReferenceIrradiance,
-}
-
-/// Radiance SH to L2 at nodes.
-#[derive(serde::Deserialize)]
-pub struct ReferenceNodes {
-    /// World metres.
-    pub position: Vec<[f64; 3]>,
-    /// `[node][coefficient][rgb]`.
-    pub sh: Vec<Vec<[f32; 3]>>,
-}
-
-/// Irradiance on surfaces.
-#[derive(serde::Deserialize)]
-pub struct ReferenceIrradiance {
-    /// World metres.
-    pub position: Vec<[f64; 3]>,
-    /// Unit normals.
-    pub normal: Vec<[f32; 3]>,
-    /// Linear RGB.
-    pub irradiance: Vec<[f32; 3]>,
-}
-
-impl Reference {
-    /// From `reference.json`.
-    pub fn read(path: &Path) -> Reference {
-        let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
-    }
-
-    /// Grid and scattered nodes together: positions and truth.
-    pub fn nodes(&self) -> (Vec<DVec3>, Vec<RadianceSh>) {
-        let both = [&self.grid, &self.scattered];
-        let positions = both.iter().flat_map(|n| n.position.iter().map(|p| DVec3::from(*p))).collect();
-        (positions, both.iter().flat_map(|n| n.sh.iter().map(|sh| radiance_sh(2, sh.iter().copied()))).collect())
-    }
+/// The sets of a lighting's `reference.json` that have these names.
+pub fn read_truth(lighting: &Path, names: &[&str]) -> Vec<Truth> {
+    let truths = read_reference(&lighting.join("reference.json")).unwrap_or_else(|e| panic!("{e}"));
+    let names: Vec<String> = names.iter().map(ToString::to_string).collect();
+    choose_sets(truths, &names).unwrap_or_else(|name| panic!("no set '{name}' in the reference"))
 }
 
 /// A panorama in its own orientation.
@@ -107,12 +67,6 @@ pub fn bake_all(function: &Gdibl, nodes: &Nodes, settings: &BakeSettings) -> Bak
         &control,
     )
     .expect("nobody interrupts a tool")
-}
-
-/// The nodes of a bake as radiance SH.
-pub fn baked_sh(baked: &Baked) -> Vec<RadianceSh> {
-    let node = |i| radiance_sh(baked.bands, baked.node(i).chunks_exact(3).map(|c| [c[0], c[1], c[2]]));
-    (0..baked.valid.len()).map(node).collect()
 }
 
 /// What an engine would load: packed in single floats and parsed again.

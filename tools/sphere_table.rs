@@ -5,10 +5,10 @@
 //! Rows: the empty box on a grid of 0.2 m; the box with spheres (recursion), on the same grid and at the places
 //! themselves. Bands tell truncation, the empty box at the places themselves tells interpolation.
 
+use gdibl_baker::analyse::{CompareSettings, Truth, compare};
 use gdibl_baker::bake::{BakeSettings, Nodes, grid_of_spacing};
-
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
-use gdibl_tools::{Reference, ReferenceIrradiance, bake_all, read_lighting, read_scene, volume_of};
+use gdibl_tools::{bake_all, read_lighting, read_scene, read_truth, volume_of};
 use glam::{DVec3, Vec3};
 use std::path::Path;
 
@@ -25,45 +25,40 @@ fn main() {
     };
     let samples: u64 = rest.first().map_or(4096, |s| s.parse().expect("a number of samples"));
     let (probes, distant) = read_lighting(Path::new(lighting));
-    let reference = Reference::read(&Path::new(lighting).join("reference.json"));
     println!("| scene | nodes | SH | relative RMSE of E | bias |");
     println!("|---|---|---|---|---|");
     let cases = [
-        ("empty box", empty, &reference.sphere_irradiance_empty_box),
-        ("with spheres", spheres, &reference.sphere_irradiance_with_spheres),
+        ("empty box", empty, "sphere_irradiance_empty_box"),
+        ("with spheres", spheres, "sphere_irradiance_with_spheres"),
     ];
-    for (name, level, truth) in cases {
+    for (name, level, set) in cases {
         let scene = read_scene(Path::new(level));
         let function = Gdibl::new(&scene, &probes, Some(&distant), GdiblSettings::default());
         let (min, max) = scene.bounds(|_| true).expect("triangles");
-        let places = truth.position.iter().zip(&truth.normal);
-        let points = places.map(|(p, n)| DVec3::from(*p) + Vec3::from(*n).as_dvec3() * OFFSET).collect();
-        let kinds =
-            [("grid 0.2 m", Nodes::Grid(grid_of_spacing(min, max, SPACING))), ("at the places", Nodes::Points(points))];
-        for (kind, nodes) in kinds {
+        let exact = read_truth(Path::new(lighting), &[set]);
+        let off: Vec<Truth> = exact.iter().map(off_the_surface).collect();
+        let points = off[0].positions.iter().map(|p| DVec3::from(*p)).collect();
+        let kinds = [
+            ("grid 0.2 m", Nodes::Grid(grid_of_spacing(min, max, SPACING)), exact),
+            ("at the places", Nodes::Points(points), off),
+        ];
+        for (kind, nodes, truth) in kinds {
             for bands in [1, 2, 4] {
                 let settings = BakeSettings { samples, bands, ..BakeSettings::default() };
                 let volume = volume_of(&nodes, &bake_all(&function, &nodes, &settings));
-                let (error, bias) = compare(truth, |position, normal| {
-                    volume.sample_f64(position, normal).sh.convolve().evaluate(normal)
-                });
+                let comparison = compare(&volume, &truth, &CompareSettings::default());
+                let comparison = comparison.unwrap_or_else(|nothing| panic!("{nothing}"));
+                assert_eq!(comparison.places.compared, truth[0].positions.len(), "every place is in the box");
+                let (error, bias) = (comparison.all.relative_rmse, comparison.all.bias);
                 println!("| {name} | {kind} | L{bands} | {:.2} % | {:+.2} % |", error * 100.0, bias * 100.0);
             }
         }
     }
 }
 
-/// Relative RMSE and bias over places and channels.
-fn compare(truth: &ReferenceIrradiance, irradiance: impl Fn([f64; 3], [f32; 3]) -> [f32; 3]) -> (f64, f64) {
-    let (mut difference, mut square, mut signed, mut sum) = (0.0, 0.0, 0.0, 0.0);
-    for ((position, normal), expected) in truth.position.iter().zip(&truth.normal).zip(&truth.irradiance) {
-        for (found, expected) in irradiance(*position, *normal).into_iter().zip(expected) {
-            let (found, expected) = (f64::from(found), f64::from(*expected));
-            difference += (found - expected).powi(2);
-            square += expected * expected;
-            signed += found - expected;
-            sum += expected;
-        }
-    }
-    ((difference / square).sqrt(), signed / sum)
+/// The same light, where the points are baked.
+fn off_the_surface(truth: &Truth) -> Truth {
+    let both = truth.positions.iter().zip(&truth.normals);
+    let moved = |(p, n): (&[f64; 3], &[f32; 3])| (DVec3::from(*p) + Vec3::from(*n).as_dvec3() * OFFSET).to_array();
+    Truth { positions: both.map(moved).collect(), ..truth.clone() }
 }

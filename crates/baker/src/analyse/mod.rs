@@ -1,7 +1,15 @@
 //! What is in a volume, and how wrong it is.
 
 mod compare;
+mod error;
+mod noise;
 mod summary;
+mod truth;
 
-pub use compare::{IrradianceError, compare_irradiance, radiance_sh};
+pub use compare::{
+    Answer, BandsCompared, CompareSettings, Comparison, NoiseUnknown, NothingCompared, Places, SetComparison,
+    WorstPlace, compare,
+};
+pub use error::{BandError, ChannelError, IrradianceError, Light, Pair, radiance_sh};
 pub use summary::{Histogram, NodeFigure, Range, VolumeSummary, summarise};
+pub use truth::{Truth, TruthLight, TruthNoise, choose_sets};

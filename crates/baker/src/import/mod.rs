@@ -1,4 +1,5 @@
-//! The one place that knows files: levels ([`gltf`]) and panoramas ([`image`]).
+//! The one place that knows files: levels ([`gltf`]), panoramas ([`image`]) and truth to compare with ([`mod@reference`]).
 
 pub mod gltf;
 pub mod image;
+pub mod reference;

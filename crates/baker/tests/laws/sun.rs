@@ -1,6 +1,6 @@
 //! A sun in one pixel, anywhere: found by construction, not by luck.
 
-use gdibl_baker::analyse::{compare_irradiance, radiance_sh};
+use gdibl_baker::analyse::{IrradianceError, Light, Pair, radiance_sh};
 use gdibl_baker::bake::BakeSettings;
 use gdibl_baker::panorama::Panorama;
 use gdibl_baker::scene::Scene;
@@ -90,8 +90,9 @@ fn sun_in_one_pixel_is_found_wherever_it_stands() {
                 let function = gdibl(&scene, &[], Some(&sky));
                 for (samples, bound) in [(1024, 0.015), (2048, 0.01)] {
                     let baked = bake_points(&function, &nodes, &BakeSettings { samples, ..SMALL });
-                    let found: Vec<RadianceSh> = (0..nodes.len()).map(|node| sh_of(&baked, node)).collect();
-                    let error = compare_irradiance(&found, &[truth; 24]);
+                    let pair =
+                        |node| Pair { found: sh_of(&baked, node), truth: Light::Radiance(truth), variance: None };
+                    let error = IrradianceError::of(&(0..nodes.len()).map(pair).collect::<Vec<_>>());
                     table.push((error.per_node.max, error.relative_rmse, samples));
                     let case = format!("{place}, {width} wide, sun {sun:e}, {samples} samples");
                     println!("{case}: {:.2e} rms, {:.2e} worst of 24", error.relative_rmse, error.per_node.max);

@@ -203,6 +203,44 @@ fn volumes_and_places_that_cannot_be_read_are_named_with_the_line() {
     );
 }
 
+#[test]
+fn truth_that_cannot_be_compared_with_is_named_with_what_was_found() {
+    let folder = inputs();
+    let bake = ["room.glb", "--probes", "probe.exr", "--samples", "16"];
+    folder.bake(&[&bake[..], &["--counts", "2,2,2", "-o", "v.gdibl"]].concat());
+    folder.bake(&[&bake[..], &["--nodes", "points:no_normals.csv", "-o", "point.gdibl"]].concat());
+    let volume = folder.read("v.gdibl");
+    folder.write("cut.gdibl", &volume[..volume.len() - 10]);
+    let truth = json!({ "far": { "position": [[9, 9, 9]], "sh": [[[1, 1, 1]]] },
+                        "skin": { "position": [[1, 1, 1]], "normal": [[0, 1, 0]], "irradiance": [[1, 1, 1]] } });
+    folder.write("truth.json", truth.to_string());
+    folder.write("cut.json", &truth.to_string()[..60]);
+    folder.write("short.json", truth.to_string().replace("[[9,9,9]]", "[[9,9,9],[8,8,8]]"));
+    folder.write("null.json", truth.to_string().replace("[[[1,1,1]]]", "[[[1,null,1]]]"));
+    folder.write("other.json", r#"{"level": "x.glb"}"#);
+    expect(
+        &folder,
+        &[
+            ("compare missing.gdibl v.gdibl", 3, &["missing.gdibl"]),
+            ("compare v.gdibl missing.json", 3, &["missing.json"]),
+            ("compare cut.gdibl v.gdibl", 3, &["cut.gdibl"]),
+            ("compare v.gdibl cut.json", 3, &["cut.json", "line 1", "JSON"]),
+            ("compare v.gdibl short.json", 3, &["short.json", "'far'", "sh", "a list of 1", "2 places"]),
+            ("compare v.gdibl null.json", 3, &["null.json", "'far'", "sh of place 0, coefficient 0", "[1,null,1]"]),
+            ("compare v.gdibl other.json", 3, &["other.json", "no set", "'position'"]),
+            ("compare v.gdibl probe.exr", 3, &["probe.exr", ".gdibl", "JSON"]),
+            ("compare truth.json v.gdibl", 3, &["truth.json", "comes first"]),
+            ("compare v.gdibl truth.json", 3, &["v.gdibl", "1 are outside", "--bounds"]),
+            ("compare point.gdibl v.gdibl", 3, &["point.gdibl", "8 are not among", "--nodes points:FILE.csv"]),
+            ("compare v.gdibl truth.json --set dark", 2, &["--set dark", "far, skin"]),
+            ("compare v.gdibl v.gdibl --set far", 2, &["--set far", "nodes"]),
+            ("compare v.gdibl v.gdibl --tolerance=-1", 2, &["--tolerance -1"]),
+            ("compare v.gdibl v.gdibl --tolerance nan", 2, &["--tolerance NaN"]),
+            ("compare v.gdibl", 2, &["<B>"]),
+        ],
+    );
+}
+
 #[cfg(unix)]
 #[test]
 fn interrupted_bake_ends_with_130_and_leaves_nothing_behind() {
@@ -243,11 +281,13 @@ fn full_disk_under_standard_output_is_a_system_error() {
     let folder = inputs();
     let bake = ["bake", "room.glb", "--probes", "probe.exr", "--counts", "2,2,2", "--samples", "16"];
     folder.ok(&bake);
-    let verbs: [&[&str]; 6] = [
+    let verbs: [&[&str]; 8] = [
         &["sample", "room.gdibl", "--at", "good.csv"],
         &["sample", "room.gdibl", "--at", "good.csv", "--json"],
         &["inspect", "room.gdibl"],
         &["inspect", "room.gdibl", "--json"],
+        &["compare", "room.gdibl", "room.gdibl"],
+        &["compare", "room.gdibl", "room.gdibl", "--json"],
         &bake,
         &[&bake[..], &["--json"]].concat(),
     ];
@@ -264,7 +304,12 @@ fn reader_that_goes_away_is_no_error() {
     let folder = inputs();
     let bake = ["bake", "room.glb", "--probes", "probe.exr", "--counts", "2,2,2", "--samples", "16"];
     folder.ok(&bake);
-    let verbs: [&[&str]; 3] = [&["sample", "room.gdibl", "--at", "good.csv"], &["inspect", "room.gdibl"], &bake];
+    let verbs: [&[&str]; 4] = [
+        &["sample", "room.gdibl", "--at", "good.csv"],
+        &["inspect", "room.gdibl"],
+        &["compare", "room.gdibl", "room.gdibl"],
+        &bake,
+    ];
     for arguments in verbs {
         let mut command = Command::new(env!("CARGO_BIN_EXE_gdibl"));
         command.args(arguments).current_dir(folder.path("")).stdout(Stdio::piped()).stderr(Stdio::piped());

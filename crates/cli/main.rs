@@ -28,6 +28,8 @@ enum Verb {
     Inspect(commands::inspect::Arguments),
     /// Irradiance, or SH coefficients, at the places of a CSV file
     Sample(commands::sample::Arguments),
+    /// Error of a volume against another volume or a reference JSON
+    Compare(commands::compare::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -35,6 +37,7 @@ fn main() -> ExitCode {
         Verb::Bake(arguments) => commands::bake::run(*arguments),
         Verb::Inspect(arguments) => commands::inspect::run(arguments),
         Verb::Sample(arguments) => commands::sample::run(arguments),
+        Verb::Compare(arguments) => commands::compare::run(arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -4,6 +4,7 @@
 mod common;
 
 mod bake;
+mod compare;
 mod config;
 mod furnace;
 mod light;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use gdibl_baker::analyse::{VolumeSummary, summarise};
-use gdibl_baker::records::{PlanRow, ProbeRecord, SettingsRecord, StatisticsRecord, decode};
-use gdibl_runtime::format::{self, Codec, Directory, Encoding, Limits};
+use gdibl_baker::records::{PlanRow, ProbeRecord, SettingsRecord, StatisticsRecord};
+use gdibl_runtime::format::{self, Codec, Directory, Encoding};
 use gdibl_runtime::{Header, Kind, Volume};
 use serde::Serialize;
 
@@ -74,10 +74,10 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         scale: header.scale,
         sections: sections(&directory),
         volume: summarise(&volume),
-        settings: record(&directory, path, format::SETTINGS)?,
-        plan: record(&directory, path, format::PLAN)?,
-        probes: record(&directory, path, format::PROBES)?,
-        statistics: record(&directory, path, format::STATISTICS)?,
+        settings: super::record(&directory, path, format::SETTINGS)?,
+        plan: super::record(&directory, path, format::PLAN)?,
+        probes: super::record(&directory, path, format::PROBES)?,
+        statistics: super::record(&directory, path, format::STATISTICS)?,
     };
     if arguments.json { super::print_json(&report) } else { print(&report, &header) }
 }
@@ -98,16 +98,6 @@ fn sections(directory: &Directory) -> Vec<SectionReport> {
         raw_bytes: entry.raw_size,
     };
     directory.sections.iter().map(row).collect()
-}
-
-fn record<T: gdibl_baker::records::Record>(
-    directory: &Directory,
-    path: &std::path::Path,
-    id: [u8; 4],
-) -> Result<Option<T>, Fault> {
-    let bytes = directory.section_bytes(id, &Limits::default()).map_err(|error| super::volume_fault(path, &error))?;
-    let name = String::from_utf8_lossy(&id);
-    bytes.map(|bytes| decode(&bytes, path, &name)).transpose().map_err(Fault::from)
 }
 
 fn print(report: &Report, header: &Header) -> Result<(), Fault> {

@@ -1,9 +1,12 @@
 //! One file per verb, and what they share.
 
 pub mod bake;
+pub mod compare;
 pub mod inspect;
 pub mod sample;
 
+use gdibl_baker::records::{Record, decode};
+use gdibl_runtime::format::{Directory, Limits};
 use serde::Serialize;
 use std::io::Write;
 use std::path::Path;
@@ -41,6 +44,13 @@ fn volume_fault(path: &Path, error: &gdibl_runtime::Error) -> Fault {
         gdibl_runtime::Error::Unsupported { .. } => Fault::Unsupported(message),
         _ => Fault::Invalid(message),
     }
+}
+
+/// A small record of a volume; `None` where it holds none.
+fn record<T: Record>(directory: &Directory, path: &Path, id: [u8; 4]) -> Result<Option<T>, Fault> {
+    let bytes = directory.section_bytes(id, &Limits::default()).map_err(|error| volume_fault(path, &error))?;
+    let name = String::from_utf8_lossy(&id);
+    bytes.map(|bytes| decode(&bytes, path, &name)).transpose().map_err(Fault::from)
 }
 
 /// Bytes that can still be taken without swapping; `None` where the system does not tell.

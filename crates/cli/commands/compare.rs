@@ -1,0 +1,219 @@
+//! `gdibl compare`: error of a volume against another one, or against a reference.
+
+use std::path::{Path, PathBuf};
+
+use gdibl_baker::analyse::{
+    Answer, CompareSettings, Comparison, IrradianceError, NoiseUnknown, Truth, choose_sets, compare,
+};
+use gdibl_baker::import::reference::{is_json, parse_reference};
+use gdibl_baker::records::SettingsRecord;
+use gdibl_runtime::Volume;
+use gdibl_runtime::format::{self, MAGIC};
+use serde::Serialize;
+
+use crate::fault::Fault;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// The volume to judge
+    #[arg(value_name = "A")]
+    found: PathBuf,
+    /// What it should be: a volume, or a JSON of places with their light (assets/uffizi-box/reference.json is one).
+    /// The comparison is at its places
+    #[arg(value_name = "B")]
+    truth: PathBuf,
+    /// Compare with this set of the JSON alone; repeatable [default: all sets of SH]
+    #[arg(long = "set", value_name = "NAME")]
+    sets: Vec<String>,
+    /// End with exit code 5 when the relative RMSE of irradiance is over this (0.01 is 1 %)
+    #[arg(long, value_name = "F")]
+    tolerance: Option<f64>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    found: String,
+    truth: String,
+    #[serde(flatten)]
+    comparison: Comparison,
+    tolerance: Option<f64>,
+    within_tolerance: Option<bool>,
+}
+
+/// A file of either kind.
+struct Input {
+    light: Kind,
+    seed: Option<u64>,
+}
+
+enum Kind {
+    Volume(Box<Volume>),
+    Reference(Vec<Truth>),
+}
+
+pub fn run(arguments: Arguments) -> Result<(), Fault> {
+    let Arguments { found: found_path, truth: truth_path, sets, tolerance, json } = &arguments;
+    if let Some(tolerance) = tolerance.filter(|tolerance| !(*tolerance >= 0.0 && tolerance.is_finite())) {
+        return Err(Fault::Usage(format!("--tolerance {tolerance}: must be a share, at least 0 (0.01 is 1 %)")));
+    }
+    let (found, truth) = (read(found_path)?, read(truth_path)?);
+    let settings = CompareSettings { common_seed: found.seed.is_some() && found.seed == truth.seed };
+    let Kind::Volume(found) = found.light else {
+        return Err(Fault::Invalid(format!(
+            "{}: is a reference; the volume comes first: gdibl compare VOLUME.gdibl REFERENCE.json",
+            found_path.display()
+        )));
+    };
+    let truths = match truth.light {
+        Kind::Volume(volume) => vec![Truth::of_volume(&volume)],
+        Kind::Reference(truths) => truths,
+    };
+    let truths = chosen(truths, sets, truth_path)?;
+    let comparison = compare(&found, &truths, &settings)
+        .map_err(|nothing| Fault::Invalid(format!("{}: {nothing}", found_path.display())))?;
+    let relative_rmse = comparison.all.relative_rmse;
+    let within_tolerance = tolerance.map(|tolerance| relative_rmse <= tolerance);
+    let [found, truth] = [found_path, truth_path].map(|path| path.display().to_string());
+    let report = Report { found, truth, comparison, tolerance: *tolerance, within_tolerance };
+    if *json {
+        super::print_json(&report)?
+    } else {
+        print(&report)?
+    }
+    match (within_tolerance, tolerance) {
+        (Some(false), Some(tolerance)) => Err(Fault::Bound(format!(
+            "{}: relative RMSE of irradiance is {}, over --tolerance {tolerance}",
+            found_path.display(),
+            percent(relative_rmse)
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// The file's first bytes tell what it is.
+fn read(path: &Path) -> Result<Input, Fault> {
+    let bytes = super::read_volume_bytes(path)?;
+    if is_json(&bytes) {
+        return Ok(Input { light: Kind::Reference(parse_reference(path, &bytes)?), seed: None });
+    }
+    if !bytes.starts_with(&MAGIC) {
+        return Err(Fault::Invalid(format!(
+            "{}: first bytes: found {:02x?}, expected a .gdibl volume or a reference JSON",
+            path.display(),
+            &bytes[..bytes.len().min(MAGIC.len())]
+        )));
+    }
+    let fault = |error: gdibl_runtime::Error| super::volume_fault(path, &error);
+    let volume = Volume::parse(&bytes).map_err(fault)?;
+    let directory = format::parse_header_and_sections(&bytes).map_err(fault)?;
+    let settings: Option<SettingsRecord> = super::record(&directory, path, format::SETTINGS)?;
+    Ok(Input { light: Kind::Volume(Box::new(volume)), seed: settings.map(|settings| settings.seed) })
+}
+
+fn chosen(truths: Vec<Truth>, names: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {
+    let there = truths.iter().map(|truth| truth.name.clone()).collect::<Vec<_>>().join(", ");
+    choose_sets(truths, names)
+        .map_err(|name| Fault::Usage(format!("--set {name}: {} has no such set; it has {there}", path.display())))
+}
+
+fn print(report: &Report) -> Result<(), Fault> {
+    let Report { found, truth, comparison, .. } = report;
+    let Comparison { all, places, .. } = comparison;
+    let mut lines = vec![format!("{found} against {truth}")];
+    let mut row = |name: &str, text: String| lines.push(format!("  {name:<11} {text}").trim_end().into());
+    row("places", format!("{} of {} compared", places.compared, places.truth));
+    for (count, why) in [
+        (places.invalid, format!("left out: not valid in {truth}")),
+        (places.outside, format!("left out: outside the box of {found}")),
+        (places.not_held, format!("left out: not among the points or vertices of {found}")),
+        (places.filled, format!("compared, but filled in {found} from its neighbours")),
+    ] {
+        if count > 0 {
+            row("", format!("{count} {why}"));
+        }
+    }
+    row("light", bands_text(comparison, found, truth));
+    row("error", error_text(all.relative_rmse, all.rmse, all.bias, all.mean_difference));
+    for (name, of) in ["red", "green", "blue"].iter().zip(&all.channels) {
+        row(name, error_text(of.relative_rmse, of.rmse, of.bias, of.mean_difference));
+    }
+    for of in &all.bands {
+        row(
+            &format!("band {}", of.band),
+            format!("{} of irradiance, {} of radiance", percent(of.irradiance), percent(of.radiance)),
+        );
+    }
+    match (all.noise, all.systematic, all.systematic_by_chance) {
+        (Some(noise), Some(systematic), Some(chance)) => {
+            row("noise", format!("{} expected from the standard errors of both", percent(noise)));
+            row(
+                "systematic",
+                format!("{} beside the noise (chance gives up to {})", percent(systematic), percent(chance)),
+            );
+        }
+        _ => row("noise", format!("not known: {}", noise_unknown_text(comparison, found, truth))),
+    }
+    row("per node", per_node_text(all));
+    for (i, worst) in comparison.worst.iter().enumerate() {
+        let [x, y, z] = worst.position;
+        let place = format!("{} {} ({x:.3} {y:.3} {z:.3})", worst.set, worst.node);
+        row(if i == 0 { "worst" } else { "" }, format!("{} at {place}", percent(worst.relative_error)));
+    }
+    for set in &comparison.sets {
+        let how = match set.answer {
+            Answer::SameNodes => "node against node",
+            Answer::Interpolated => "interpolated",
+            Answer::Held => "at places held",
+        };
+        let error = &set.error;
+        let bias = error.bias * 100.0;
+        row("set", format!("{}: {} places, {how}", set.name, error.nodes));
+        if comparison.sets.len() > 1 {
+            let noise = error.noise.map_or(String::new(), |noise| format!(", noise {}", percent(noise)));
+            row("", format!("{} relative RMSE, bias {bias:+.2} %{noise}", percent(error.relative_rmse)));
+            row("", per_node_text(error));
+        }
+    }
+    super::print_line(&lines.join("\n"))
+}
+
+fn bands_text(comparison: &Comparison, found: &str, truth: &str) -> String {
+    let bands = comparison.bands;
+    match bands.truth {
+        None => format!("irradiance at normals; {found} holds L{}", bands.found),
+        Some(other) if other == bands.found => format!("radiance to L{other}"),
+        Some(other) => {
+            let lower = other.min(bands.found);
+            format!("radiance to L{lower}: {found} holds L{}, {truth} L{other}, the lower counts", bands.found)
+        }
+    }
+}
+
+fn noise_unknown_text(comparison: &Comparison, found: &str, truth: &str) -> String {
+    let reason = |reason: &NoiseUnknown| match reason {
+        NoiseUnknown::Found => format!("{found} holds no standard errors"),
+        NoiseUnknown::Truth => format!("{truth} holds no standard errors"),
+        NoiseUnknown::CommonSeed => "both have the same --seed, so the same noise; bake one with another".into(),
+    };
+    comparison.noise_unknown.iter().map(reason).collect::<Vec<_>>().join("; ")
+}
+
+fn error_text(relative_rmse: f64, rmse: f64, bias: f64, mean_difference: f64) -> String {
+    format!(
+        "{} relative RMSE of E, bias {:+.2} % (RMSE {rmse:.3e}, mean difference {mean_difference:+.3e})",
+        percent(relative_rmse),
+        bias * 100.0
+    )
+}
+
+fn per_node_text(error: &IrradianceError) -> String {
+    let [median, p95, max] = [error.per_node.median, error.per_node.p95, error.per_node.max].map(percent);
+    format!("{median} median, {p95} 95th percentile, {max} worst")
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.2} %", share * 100.0)
+}

@@ -1,12 +1,14 @@
 //! What the tools share: the uffizi box with its truth, and baking it.
 
+use gdibl_baker::Control;
 use gdibl_baker::analyse::{Truth, choose_sets};
-use gdibl_baker::bake::{BakeSettings, Baked, Control, Nodes, bake};
+use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::import::gltf::{GltfOptions, read_level};
 use gdibl_baker::import::image::{ReadOptions, read_image};
 use gdibl_baker::import::reference::read_reference;
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
-use gdibl_baker::radiance::gdibl::{Distant, Gdibl, Probe};
+use gdibl_baker::radiance::Distant;
+use gdibl_baker::radiance::gdibl::{Gdibl, Probe};
 use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::volume::{PackSettings, Precision, pack};
@@ -58,15 +60,7 @@ pub fn read_lighting(folder: &Path) -> (Vec<Probe>, Distant) {
 /// Bakes to the end.
 pub fn bake_all(function: &Gdibl, nodes: &Nodes, settings: &BakeSettings) -> Baked {
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
-    let origin = |node: usize| nodes.ray_origin(node, function.frame());
-    bake(
-        nodes,
-        function,
-        &|node, direction, context: &mut _| function.radiance(origin(node), direction, context),
-        settings,
-        &control,
-    )
-    .expect("nobody interrupts a tool")
+    bake(nodes, function, settings, &control).expect("nobody interrupts a tool")
 }
 
 /// What an engine would load: packed in single floats and parsed again.

@@ -77,7 +77,7 @@ fn halved(full: &Panorama, width: usize) -> Image {
 fn distances(scene: &Scene, position: DVec3, width: usize) -> Vec<f32> {
     let (min, max) = scene.bounds(|_| true).expect("triangles");
     let frame = Frame::of_bounds(min, max);
-    let surfaces = Surfaces::new(scene, Role::Environment, &frame).expect("triangles");
+    let surfaces = Surfaces::new(scene, |m| m.role == Role::Environment, &frame).expect("triangles");
     let height = width / 2;
     let panorama = Panorama::new(width, height, vec![[0.0; 3]; width * height], None);
     let distance = |i: usize| {

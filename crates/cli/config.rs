@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::SceneHit;
+use gdibl_baker::radiance::path::PathSettings;
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::Precision;
 
@@ -49,6 +50,22 @@ pub struct QualityFlags {
     #[arg(long, value_name = "NAME", value_parser = parse_sampler)]
     #[serde(deserialize_with = "text::sampler")]
     pub sampler: Option<Sampler>,
+    /// gdibl, or path: path tracing, the ground truth, which needs no probe [default: gdibl]
+    #[arg(long, value_name = "NAME", value_parser = parse_method)]
+    #[serde(deserialize_with = "text::method")]
+    pub method: Option<Method>,
+    /// Surfaces that light may leave on its way to a node, by path tracing: 1 is direct light [default: 64, with
+    /// roulette]
+    #[arg(long, value_name = "N")]
+    pub bounces: Option<u32>,
+    /// Direct light of point, spot and directional lights: include, or exclude for the engine to add it, moving and
+    /// sharp; their bounced light is there in any case [default: exclude]
+    #[arg(long, value_name = "WHAT", value_parser = parse_punctual)]
+    #[serde(deserialize_with = "text::punctual")]
+    pub punctual: Option<Punctual>,
+    /// Cut every sample's radiance off at this, and say how much light that took [default: off]
+    #[arg(long, value_name = "L")]
+    pub clamp: Option<f32>,
     /// What a ray does at scene geometry: recurse:DEPTH or occlude [default: recurse:3]
     #[arg(long, value_name = "HOW", value_parser = parse_scene_hit)]
     #[serde(deserialize_with = "text::scene_hit")]
@@ -75,6 +92,67 @@ pub struct QualityFlags {
     /// Refuse a bake that needs more memory than this, GiB [default: what the machine has free]
     #[arg(long, value_name = "GIB")]
     pub max_memory: Option<f64>,
+}
+
+/// How probes are captured: flags of `capture`, and `[capture]` of BAKE.toml. `None`: not said.
+#[derive(Args, Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CaptureFlags {
+    /// Place probes automatically, at most --most of them
+    #[arg(long, num_args = 0, default_missing_value = "true")]
+    pub auto: Option<bool>,
+    /// A probe's place, world metres: x,y,z; repeatable
+    #[arg(long = "position", value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true)]
+    pub positions: Vec<[f64; 3]>,
+    /// Most probes that --auto places [default: 16]
+    #[arg(long, value_name = "N")]
+    pub most: Option<usize>,
+    /// Pixels around the horizon [default: 256]
+    #[arg(long, value_name = "PIXELS")]
+    pub width: Option<usize>,
+    /// Paths per pixel; with --target-error the most a pixel may take [default: 256; with a target 65536]
+    #[arg(long, value_name = "N")]
+    pub samples: Option<u32>,
+    /// Sample each pixel until its relative standard error is at most this (0.01 is 1 %)
+    #[arg(long, value_name = "F")]
+    pub target_error: Option<f64>,
+}
+
+impl CaptureFlags {
+    fn or(self, file: CaptureFlags) -> CaptureFlags {
+        // Places by flag replace the file's.
+        let placed = self.auto.is_some() || !self.positions.is_empty();
+        CaptureFlags {
+            auto: if placed { self.auto } else { file.auto },
+            positions: if placed { self.positions } else { file.positions },
+            most: self.most.or(file.most),
+            width: self.width.or(file.width),
+            samples: self.samples.or(file.samples),
+            target_error: self.target_error.or(file.target_error),
+        }
+    }
+}
+
+fn parse_position(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> =
+        text.split(',').filter_map(|n| n.trim().parse().ok()).filter(|n: &f64| n.is_finite()).collect();
+    <[f64; 3]>::try_from(numbers).ok().filter(|_| text.split(',').count() == 3).ok_or("expected x,y,z".into())
+}
+
+/// The radiance function.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    #[default]
+    Gdibl,
+    Path,
+}
+
+/// The direct light of punctual lights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Punctual {
+    Include,
+    #[default]
+    Exclude,
 }
 
 /// Where nodes stand.
@@ -140,6 +218,7 @@ struct BakeFile {
     probe: Vec<ProbeEntry>,
     grid: GridFlags,
     quality: QualityFlags,
+    capture: CaptureFlags,
 }
 
 /// Everything that was asked for, paths resolved.
@@ -153,6 +232,7 @@ pub struct Config {
     pub placed_probes: Vec<ProbeEntry>,
     pub grid: GridFlags,
     pub quality: QualityFlags,
+    pub capture: CaptureFlags,
 }
 
 /// Flags of `bake` that name files.
@@ -176,7 +256,12 @@ pub struct FileFlags {
 
 impl Config {
     /// Reads BAKE.toml if that is the input, and lets flags win.
-    pub fn new(files: FileFlags, grid: GridFlags, quality: QualityFlags) -> Result<Config, Fault> {
+    pub fn new(
+        files: FileFlags,
+        grid: GridFlags,
+        quality: QualityFlags,
+        capture: CaptureFlags,
+    ) -> Result<Config, Fault> {
         let input = files.input;
         let (mut file, folder) = if is_level(&input)? {
             (BakeFile { level: Some(input.clone()), ..BakeFile::default() }, PathBuf::new())
@@ -202,8 +287,45 @@ impl Config {
             placed_probes: if by_flag { Vec::new() } else { file.probe },
             grid: grid.or(file.grid)?,
             quality: quality.or(file.quality),
+            capture: capture.or(file.capture),
         })
     }
+}
+
+/// Starts as many worker threads as were asked for.
+pub fn set_threads(threads: Option<usize>) -> Result<(), Fault> {
+    let Some(threads) = threads else { return Ok(()) };
+    if !(1..=1024).contains(&threads) {
+        return Err(Fault::Usage(format!("--threads {threads}: expected 1 to 1024")));
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    pool.map_err(|error| Fault::System(format!("cannot start {threads} threads: {error}")))
+}
+
+/// A target error is a positive share.
+pub fn check_target(target: Option<f64>) -> Result<(), Fault> {
+    match target.filter(|target| !(*target > 0.0 && target.is_finite())) {
+        Some(target) => Err(Fault::Usage(format!("--target-error {target}: expected a positive share, 0.01 for 1 %"))),
+        None => Ok(()),
+    }
+}
+
+/// The most that a sample's radiance may be; infinite where nothing is said.
+pub fn clamp(quality: &QualityFlags) -> Result<f32, Fault> {
+    match quality.clamp {
+        None => Ok(f32::INFINITY),
+        Some(clamp) if clamp > 0.0 => Ok(clamp),
+        Some(clamp) => Err(Fault::Usage(format!("--clamp {clamp}: expected a radiance above 0"))),
+    }
+}
+
+/// How paths are traced.
+pub fn path_settings(quality: &QualityFlags) -> Result<PathSettings, Fault> {
+    let bounces = quality.bounces.unwrap_or(PathSettings::default().bounces);
+    if bounces > PathSettings::MAX_BOUNCES {
+        return Err(Fault::Usage(format!("--bounces {bounces}: expected at most {}", PathSettings::MAX_BOUNCES)));
+    }
+    Ok(PathSettings { bounces, ..PathSettings::default() })
 }
 
 impl BakeFile {
@@ -262,6 +384,10 @@ impl QualityFlags {
             seed: self.seed.or(file.seed),
             threads: self.threads.or(file.threads),
             sampler: self.sampler.or(file.sampler),
+            method: self.method.or(file.method),
+            bounces: self.bounces.or(file.bounces),
+            punctual: self.punctual.or(file.punctual),
+            clamp: self.clamp.or(file.clamp),
             scene: self.scene.or(file.scene),
             sh: self.sh.or(file.sh),
             precision: self.precision.or(file.precision),
@@ -278,6 +404,22 @@ fn parse_sampler(text: &str) -> Result<Sampler, String> {
         "sobol" => Ok(Sampler::Sobol),
         "random" => Ok(Sampler::Random),
         _ => Err("expected sobol or random".into()),
+    }
+}
+
+fn parse_method(text: &str) -> Result<Method, String> {
+    match text {
+        "gdibl" => Ok(Method::Gdibl),
+        "path" => Ok(Method::Path),
+        _ => Err("expected gdibl or path".into()),
+    }
+}
+
+fn parse_punctual(text: &str) -> Result<Punctual, String> {
+    match text {
+        "include" => Ok(Punctual::Include),
+        "exclude" => Ok(Punctual::Exclude),
+        _ => Err("expected include or exclude".into()),
     }
 }
 
@@ -338,6 +480,8 @@ mod text {
     }
     parsers! {
         sampler: super::Sampler = parse_sampler,
+        method: super::Method = parse_method,
+        punctual: super::Punctual = parse_punctual,
         scene_hit: super::SceneHit = parse_scene_hit,
         bands: u32 = parse_bands,
         precision: super::Precision = parse_precision,

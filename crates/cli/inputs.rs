@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use gdibl_baker::Finding;
 use gdibl_baker::bake::{Nodes, grid_of_counts, grid_of_spacing};
-use gdibl_baker::import::gltf::{GltfOptions, read_level};
+use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
-use gdibl_baker::radiance::gdibl::{Distant, Probe};
-use gdibl_baker::scene::Scene;
+use gdibl_baker::radiance::Distant;
+use gdibl_baker::radiance::gdibl::Probe;
+use gdibl_baker::scene::{Mesh, Scene};
 
 use crate::commands::file_name;
 use crate::config::{Config, GridFlags, NodeKind, ProbeEntry};
@@ -27,19 +28,43 @@ pub struct Inputs {
 }
 
 impl Inputs {
-    pub fn read(config: &Config) -> Result<Inputs, Fault> {
-        let mut scene = read_level(&config.level, &GltfOptions::default())?;
+    /// Level, distant panorama, and the probes that are named.
+    pub fn read(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
+        let mut inputs = Inputs::read_level(config, textures)?;
+        let entries = probe_entries(config, &inputs.scene)?;
+        inputs.read_probes(&entries, config)?;
+        Ok(inputs)
+    }
+
+    /// Level and distant panorama alone.
+    pub fn read_level(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
+        let options = GltfOptions { textures, ..GltfOptions::default() };
+        let mut scene = read_level(&config.level, &options)?;
         let mut findings = std::mem::take(&mut scene.findings);
         if let Some(path) = &config.environment {
-            let proxy = read_level(path, &GltfOptions::default())?;
+            let proxy = read_level(path, &options)?;
             findings.extend(proxy.findings.iter().cloned());
             scene.replace_environment(proxy);
         }
-        let entries = probe_entries(config, &scene)?;
-        let mut probes = Vec::new();
-        for entry in &entries {
+        let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings };
+        if let Some(entry) = &config.distant {
             let (imported, panorama) = read_panorama(entry, config)?;
-            findings.extend(imported.findings.iter().cloned());
+            inputs.findings.extend(imported.findings.iter().cloned());
+            inputs.distant = Some(Distant {
+                name: file_name(&entry.image),
+                rotation: rotation_of(entry, &imported)?,
+                exposure_stops: entry.exposure_stops,
+                panorama,
+            });
+        }
+        Ok(inputs)
+    }
+
+    /// Takes the probes of these files.
+    pub fn read_probes(&mut self, entries: &[ProbeEntry], config: &Config) -> Result<(), Fault> {
+        for entry in entries {
+            let (imported, panorama) = read_panorama(entry, config)?;
+            self.findings.extend(imported.findings.iter().cloned());
             let position = entry.position.map(DVec3::from).or(imported.pose.position);
             let Some(position) = position else {
                 return Err(Fault::Invalid(format!(
@@ -48,7 +73,7 @@ impl Inputs {
                     entry.image.display()
                 )));
             };
-            probes.push(Probe {
+            self.probes.push(Probe {
                 name: file_name(&entry.image),
                 position,
                 rotation: rotation_of(entry, &imported)?,
@@ -56,20 +81,13 @@ impl Inputs {
                 panorama,
             });
         }
-        let distant = match &config.distant {
-            None => None,
-            Some(entry) => {
-                let (imported, panorama) = read_panorama(entry, config)?;
-                findings.extend(imported.findings.iter().cloned());
-                Some(Distant {
-                    name: file_name(&entry.image),
-                    rotation: rotation_of(entry, &imported)?,
-                    exposure_stops: entry.exposure_stops,
-                    panorama,
-                })
-            }
-        };
-        Ok(Inputs { scene, probes, distant, findings })
+        Ok(())
+    }
+
+    /// Something gives light that a path can find.
+    pub fn has_light(&self) -> bool {
+        let glows = |mesh: &Mesh| self.scene.materials[mesh.material as usize].emission != Vec3::ZERO;
+        self.distant.is_some() || !self.scene.lights.is_empty() || self.scene.meshes.iter().any(glows)
     }
 
     /// Findings as lines on stderr.
@@ -100,7 +118,7 @@ fn probe_entries(config: &Config, scene: &Scene) -> Result<Vec<ProbeEntry>, Faul
 }
 
 /// A file, or the images of a folder by name.
-fn images_of(path: &Path) -> Result<Vec<PathBuf>, Fault> {
+pub fn images_of(path: &Path) -> Result<Vec<PathBuf>, Fault> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
     }

@@ -1,5 +1,6 @@
 //! `gdibl`: bakes irradiance volumes from a glTF level and a few HDR light probes, and tells what is in them.
 
+mod captures;
 mod commands;
 mod config;
 mod fault;
@@ -24,6 +25,8 @@ struct Arguments {
 enum Verb {
     /// Bake an irradiance volume from a level (.glb, .gltf) or a BAKE.toml
     Bake(Box<commands::bake::Arguments>),
+    /// Make light probes from a level's own lights, by path tracing
+    Capture(Box<commands::capture::Arguments>),
     /// Tell what is in a volume: sections, grid, validity, error, coverage, settings, plan
     Inspect(commands::inspect::Arguments),
     /// Irradiance, or SH coefficients, at the places of a CSV file
@@ -35,6 +38,7 @@ enum Verb {
 fn main() -> ExitCode {
     let done = match Arguments::parse().verb {
         Verb::Bake(arguments) => commands::bake::run(*arguments),
+        Verb::Capture(arguments) => commands::capture::run(*arguments),
         Verb::Inspect(arguments) => commands::inspect::run(arguments),
         Verb::Sample(arguments) => commands::sample::run(arguments),
         Verb::Compare(arguments) => commands::compare::run(arguments),

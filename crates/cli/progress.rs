@@ -19,20 +19,23 @@ pub fn cancel_on_interrupt() -> Arc<AtomicBool> {
     cancel
 }
 
-/// Nodes done, rate and time left; silent when `quiet` or when stderr is not a terminal.
+/// Work done, rate and time left; silent when `quiet` or when stderr is not a terminal.
 pub struct Progress {
     bar: ProgressBar,
     rays: AtomicU64,
 }
 
 impl Progress {
-    pub fn nodes(total: u64, quiet: bool) -> Progress {
+    /// `unit`: nodes or pixels, of which there are `total`.
+    pub fn new(unit: &str, total: u64, quiet: bool) -> Progress {
         let bar = ProgressBar::with_draw_target(
             Some(total),
             if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr_with_hz(8) },
         );
-        let style = "{elapsed_precise} {wide_bar} {human_pos}/{human_len} nodes  {msg}  {eta_precise} left";
-        bar.set_style(ProgressStyle::with_template(style).expect("a valid template"));
+        let style = format!(
+            "{{elapsed_precise}} {{wide_bar}} {{human_pos}}/{{human_len}} {unit}  {{msg}}  {{eta_precise}} left"
+        );
+        bar.set_style(ProgressStyle::with_template(&style).expect("a valid template"));
         bar.enable_steady_tick(Duration::from_millis(250));
         Progress { bar, rays: AtomicU64::new(0) }
     }

@@ -5,7 +5,7 @@
 //! ```text
 //! import ─→ scene, panorama ─→ trace ─→ radiance ─→ bake ─→ volume ─→ .gdibl
 //!                                          ↑          ↑
-//!                                      blend rules  sampling        beside it: plan, records
+//!                                   gdibl or path  sampling        beside it: capture, plan, records
 //! ```
 //! Only [`import`] reads files and only [`volume`] writes one; the library never prints. World axes are glTF's:
 //! right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance coefficients L_lm; who shades
@@ -13,6 +13,8 @@
 
 pub mod analyse;
 pub mod bake;
+pub mod capture;
+mod control;
 pub mod error;
 pub mod import;
 pub mod panorama;
@@ -24,4 +26,5 @@ pub mod scene;
 pub mod trace;
 pub mod volume;
 
+pub use control::{Control, Interrupted};
 pub use error::{Error, Finding, Result};

@@ -1,6 +1,8 @@
 //! What a bake does and what it leaves out, decided from the inputs before the first ray, with the reason.
 
+use crate::radiance::RadianceFunction;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
+use crate::radiance::path::Path;
 use crate::scene::{Alpha, Role, Scene};
 
 /// One stage of the bake.
@@ -15,7 +17,8 @@ pub struct PlanRow {
 }
 
 impl PlanRow {
-    fn new(stage: &str, kept: bool, why: impl Into<String>) -> PlanRow {
+    /// A row; `why` is one sentence.
+    pub fn new(stage: &str, kept: bool, why: impl Into<String>) -> PlanRow {
         PlanRow { stage: stage.into(), kept, why: why.into() }
     }
 }
@@ -25,11 +28,6 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
     let environment = scene.triangle_count(Role::Environment);
     let objects = scene.triangle_count(Role::Scene);
     let probes = function.probe_count();
-    let clear = |role| {
-        let of_role = scene.meshes.iter().filter(|m| m.role == role);
-        of_role.filter(|m| scene.materials[m.material as usize].alpha != Alpha::Opaque).count()
-    };
-    let clear = clear(Role::Environment) + clear(Role::Scene);
     let textures = scene.textures.len();
     vec![
         match textures {
@@ -66,9 +64,47 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
                 PlanRow::new("recursion", false, format!("{n} triangles only occlude (asked for)"))
             }
         },
-        match clear {
-            0 => PlanRow::new("transparency", false, "every material is opaque"),
-            n => PlanRow::new("transparency", true, format!("{n} meshes have holes or let light through")),
-        },
+        emitters(function),
+        transparency(scene),
     ]
+}
+
+/// The plan of a bake by path tracing.
+pub fn plan_path(scene: &Scene, path: &Path) -> Vec<PlanRow> {
+    let triangles = scene.triangle_count(Role::Environment) + scene.triangle_count(Role::Scene);
+    vec![
+        match scene.textures.len() {
+            0 => PlanRow::new("textures", false, "no material has one"),
+            n => PlanRow::new("textures", true, format!("{n} decoded: base colours, emission, alpha")),
+        },
+        match triangles {
+            0 => PlanRow::new("bounces", false, "no triangle to bounce from"),
+            n => PlanRow::new("bounces", true, format!("{n} triangles reflect, up to {} in a row", path.bounces())),
+        },
+        match path.guide().to_sky() {
+            true => PlanRow::new("distant", true, "every surface asks the distant panorama"),
+            false => PlanRow::new("distant", false, "no distant panorama, or a black one"),
+        },
+        emitters(path),
+        match scene.lights.len() {
+            0 => PlanRow::new("punctual", false, "no punctual light"),
+            n => PlanRow::new("punctual", true, format!("every surface asks one of {n} punctual lights")),
+        },
+        transparency(scene),
+    ]
+}
+
+fn emitters(function: &impl RadianceFunction) -> PlanRow {
+    match function.guide().emitter_count() {
+        0 => PlanRow::new("emitters", false, "no emissive triangle stands out"),
+        n => PlanRow::new("emitters", true, format!("rays are sent to {n} emissive triangles too")),
+    }
+}
+
+fn transparency(scene: &Scene) -> PlanRow {
+    let clear = |mesh: &&crate::scene::Mesh| scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
+    match scene.meshes.iter().filter(clear).count() {
+        0 => PlanRow::new("transparency", false, "every material is opaque"),
+        n => PlanRow::new("transparency", true, format!("{n} meshes have holes or let light through")),
+    }
 }

@@ -15,7 +15,7 @@ pub struct SettingsRecord {
     pub writer: String,
     /// File name of the level, without folder.
     pub level: String,
-    /// The radiance function: `gdibl`.
+    /// The radiance function: `gdibl` or `path`.
     pub method: String,
     /// Blend rule with its power, as on the command line.
     pub blend: String,

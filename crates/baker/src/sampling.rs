@@ -46,10 +46,20 @@ impl Stream {
                 [0, 1].map(|dimension| sobol_burley::sample(index, dimension, scramble as u32))
             }
             Sampler::Random => {
-                let bits = mix(mix(u64::from(self.scramble) << 32 | u64::from(pair)) ^ u64::from(sample));
+                let bits = self.bits(sample, pair);
                 [bits >> 40, (bits >> 16) & 0xff_ffff].map(|b| b as f32 / (1 << 24) as f32)
             }
         }
+    }
+
+    /// An independent random number in 0..1 of its own, whatever the sampler.
+    pub fn random(&self, sample: u32, pair: u32) -> f32 {
+        // Beside the pairs, of which there are at most 2^16.
+        (self.bits(sample, pair | 1 << 31) >> 40) as f32 / (1 << 24) as f32
+    }
+
+    fn bits(&self, sample: u32, pair: u32) -> u64 {
+        mix(mix(u64::from(self.scramble) << 32 | u64::from(pair)) ^ u64::from(sample))
     }
 }
 

@@ -111,6 +111,14 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
+impl Mesh {
+    /// Area of the triangle of these three positions, square metres.
+    pub fn area(&self, triangle: [u32; 3]) -> f64 {
+        let [a, b, c] = triangle.map(|i| self.positions[i as usize]);
+        0.5 * (b - a).cross(c - a).length()
+    }
+}
+
 /// A material, as far as diffuse light needs it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Material {

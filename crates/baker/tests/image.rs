@@ -98,6 +98,12 @@ fn exr_returns_what_was_written() {
     let imported = read_image(&path, &STRICT).unwrap();
     assert_eq!((imported.mapping, imported.pose), (Some(Mapping::CubeExr), Pose::default()));
     assert_eq!(imported.image, cube);
+    let angular = varied(8, 8, true);
+    let pose = Pose { position: Some(DVec3::ONE), rotation: None };
+    write_exr(&path, &angular, &pose, Mapping::AngularMap, SampleFormat::F32).unwrap();
+    let imported = read_image(&path, &STRICT).unwrap();
+    assert_eq!((imported.mapping, imported.pose), (Some(Mapping::AngularMap), pose));
+    assert_eq!(imported.image, angular);
 }
 
 #[test]
@@ -144,7 +150,8 @@ fn write_exr_replaces_whole_files_only() {
     let folder = Folder::new();
     let path = folder.write("old.exr", "old");
     let image = varied(2, 2, false);
-    let refused = write_exr(&path, &image, &Pose::default(), Mapping::AngularMap, SampleFormat::F32);
+    let turned = Pose { rotation: Some(DQuat::IDENTITY), position: None };
+    let refused = write_exr(&path, &image, &turned, Mapping::AngularMap, SampleFormat::F32);
     assert!(matches!(refused, Err(Error::Unsupported { .. })), "{refused:?}");
     assert_eq!(fs::read(&path).unwrap(), b"old");
     let missing = write_exr(&folder.path("no/x.exr"), &image, &Pose::default(), Mapping::LatLong, SampleFormat::F32);

@@ -103,7 +103,7 @@ impl Closed {
         let frame = Frame::of_bounds(min, max);
         Closed {
             name: format!("{name}, scale {scale:e}, offset {offset:e}"),
-            surfaces: Surfaces::new(&scene, Role::Environment, &frame).unwrap(),
+            surfaces: Surfaces::new(&scene, |m| m.role == Role::Environment, &frame).unwrap(),
             origins: inside.iter().map(|&p| frame.to_trace(place(p))).collect(),
             corners: triangles.iter().map(|t| t.map(|p| frame.to_trace(p))).collect(),
             scene,
@@ -397,7 +397,7 @@ fn one_triangle_blocks_from_both_sides_up_to_its_edges() {
     let triangle = [DVec3::new(0.0, 0.0, 5.0), DVec3::new(4.0, 0.0, 5.0), DVec3::new(0.0, 4.0, 5.0)];
     let scene = scene_of(&[triangle]);
     let frame = Frame::default();
-    let surfaces = Surfaces::new(&scene, Role::Environment, &frame).unwrap();
+    let surfaces = Surfaces::new(&scene, |m| m.role == Role::Environment, &frame).unwrap();
     assert_eq!(surfaces.len(), 1);
     for (x, y, hit) in [
         (1.0, 1.0, true),
@@ -433,9 +433,9 @@ fn one_triangle_blocks_from_both_sides_up_to_its_edges() {
 
 #[test]
 fn no_triangle_is_no_surface() {
-    assert!(Surfaces::new(&Scene::default(), Role::Environment, &Frame::default()).is_none());
+    assert!(Surfaces::new(&Scene::default(), |_| true, &Frame::default()).is_none());
     let scene = scene_of(&lattice_mesh(1, |_| true));
-    assert!(Surfaces::new(&scene, Role::Scene, &Frame::default()).is_none(), "none of that role");
+    assert!(Surfaces::new(&scene, |m| m.role == Role::Scene, &Frame::default()).is_none(), "none of that role");
     let tree = Tree::build(&[]);
     assert_eq!(tree.closest(Vec3::ZERO, Vec3::X, 0.0, f32::INFINITY, |_| true), None);
     tree.any(Vec3::ZERO, Vec3::X, 0.0, f32::INFINITY, |_| panic!("a hit on nothing"));

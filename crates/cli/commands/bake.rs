@@ -1,17 +1,26 @@
 //! `gdibl bake`: level and probes in, volume out.
 
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use gdibl_baker::bake::{self, BakeSettings, Baked, Control, Nodes};
-use gdibl_baker::plan::{PlanRow, plan};
+use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes};
+use gdibl_baker::import::gltf::TextureNeeds;
+use gdibl_baker::plan::{self, PlanRow};
+use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
+use gdibl_baker::radiance::path::{Path, specular_left_out};
 use gdibl_baker::records::{ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::sampling::Sampler;
+use gdibl_baker::scene::Role;
 use gdibl_baker::volume::{PackSettings, Precision, pack, write_whole};
+use gdibl_baker::{Control, Finding};
 use serde::Serialize;
 
-use crate::config::{Config, FileFlags, GridFlags, QualityFlags};
+use crate::captures::{auto_capture, say};
+use crate::config::{
+    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, check_target, clamp, path_settings,
+    set_threads,
+};
 use crate::fault::Fault;
 use crate::inputs::{Inputs, nodes_of};
 use crate::progress::{Progress, cancel_on_interrupt};
@@ -60,57 +69,58 @@ struct Report<'a> {
 pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let started = Instant::now();
     let cancel = cancel_on_interrupt();
-    let config = Config::new(arguments.files, arguments.grid, arguments.quality)?;
+    let config = Config::new(arguments.files, arguments.grid, arguments.quality, CaptureFlags::default())?;
     set_threads(config.quality.threads)?;
     let settings = bake_settings(&config)?;
+    let method = config.quality.method.unwrap_or_default();
 
     // Everything is read and refused before the first ray.
-    let inputs = Inputs::read(&config)?;
+    let textures = if method == Method::Path { TextureNeeds::All } else { TextureNeeds::Gdibl };
+    let mut inputs = Inputs::read(&config, textures)?;
+    if method == Method::Path {
+        inputs.findings.extend(specular_left_out(&inputs.scene));
+    }
     let nodes = nodes_of(&config, &inputs.scene)?;
     check_memory(&nodes, &settings, config.quality.max_memory)?;
-    let scene_hit = config.quality.scene.unwrap_or_default();
-    let blend = config.quality.blend.unwrap_or_default();
-    let function = Gdibl::new(
-        &inputs.scene,
-        &inputs.probes,
-        inputs.distant.as_ref(),
-        GdiblSettings { blend, scene_hit, seed: settings.seed },
-    );
-    let plan = plan(&inputs.scene, &function);
-    if arguments.plan {
-        return print_plan(&plan, arguments.json);
+    let job = Job { config: &config, nodes: &nodes, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
+    let captures = method == Method::Gdibl && !arguments.no_capture && job.lacks_probes(&inputs);
+    if !arguments.plan {
+        inputs.warn();
+        job.check_light(&inputs, method)?;
+        check_output(&config)?;
     }
-    inputs.warn();
-    if inputs.probes.is_empty() && inputs.distant.is_none() && !inputs.scene.emits() {
-        return Err(Fault::Bound(format!(
-            "{}: nothing gives light: no probe, no distant panorama; give --probes or --distant",
-            config.level.display()
-        )));
-    }
-    check_output(&config)?;
+    let capture = match captures {
+        true if arguments.plan => PlanRow::new("capture", true, "no probe is given: they are captured from the level"),
+        true => job.capture(&mut inputs)?,
+        false => PlanRow::new("capture", false, no_capture_reason(&inputs, method, arguments.no_capture)),
+    };
 
-    let progress = Progress::nodes(nodes.len() as u64, arguments.quiet);
-    let origins = |node: usize| nodes.ray_origin(node, function.frame());
-    let baked = bake::bake(
-        &nodes,
-        &function,
-        &|node, direction, context: &mut _| function.radiance(origins(node), direction, context),
-        &settings,
-        &Control { cancel: &cancel, progress: &|nodes, rays| progress.advance(nodes, rays) },
-    )
-    .map_err(|_| Fault::Interrupted)?;
-    progress.finish();
-
-    if !baked.valid.contains(&true) {
-        return Err(Fault::Bound(format!(
-            "no node of {} saw anything that a probe or the distant panorama has seen, so there is nothing to fill \
-             from and nothing was written; are the probes' positions in the level's metres, inside the same rooms \
-             as the nodes, not in a wall?",
-            nodes.len()
-        )));
-    }
+    let (plan, baked) = match method {
+        Method::Gdibl => {
+            let gdibl = GdiblSettings {
+                blend: config.quality.blend.unwrap_or_default(),
+                scene_hit: config.quality.scene.unwrap_or_default(),
+                seed: settings.seed,
+            };
+            let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
+            let plan = [vec![capture], plan::plan(&inputs.scene, &function)].concat();
+            if arguments.plan {
+                return print_plan(&plan, arguments.json);
+            }
+            (plan, job.bake(&function)?)
+        }
+        Method::Path => {
+            let path = Path::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config.quality)?);
+            let plan = [vec![capture], plan::plan_path(&inputs.scene, &path)].concat();
+            if arguments.plan {
+                return print_plan(&plan, arguments.json);
+            }
+            (plan, job.bake(&path)?)
+        }
+    };
+    inputs.findings.extend(clamped_light(&baked, &settings));
     let records = Records {
-        settings: settings_record(&config, &settings, scene_hit),
+        settings: settings_record(&config, &settings, method),
         probes: probe_records(&inputs),
         statistics: statistics(&baked, &inputs),
         plan,
@@ -158,6 +168,94 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     }
 }
 
+/// What the steps of a bake share.
+struct Job<'a> {
+    config: &'a Config,
+    nodes: &'a Nodes,
+    settings: &'a BakeSettings,
+    cancel: &'a AtomicBool,
+    quiet: bool,
+}
+
+impl Job<'_> {
+    /// No probe was given, and there is something that one could see.
+    fn lacks_probes(&self, inputs: &Inputs) -> bool {
+        inputs.probes.is_empty() && inputs.scene.triangle_count(Role::Environment) > 0
+    }
+
+    /// A bake without any light is refused.
+    fn check_light(&self, inputs: &Inputs, method: Method) -> Result<(), Fault> {
+        let probes = method == Method::Gdibl && !inputs.probes.is_empty();
+        if probes || inputs.has_light() {
+            return Ok(());
+        }
+        Err(Fault::Bound(format!(
+            "{}: nothing gives light: no probe, no distant panorama, no emissive material, no light; give --probes or \
+             --distant",
+            self.config.level.display()
+        )))
+    }
+
+    /// The embedded default: probes are made from the level, or taken from an earlier bake.
+    fn capture(&self, inputs: &mut Inputs) -> Result<PlanRow, Fault> {
+        let captured = auto_capture(self.config, self.cancel, self.quiet)?;
+        inputs.read_probes(&captured.entries, self.config)?;
+        let count = captured.entries.len();
+        if let Some(seconds) = captured.seconds {
+            say(&format!(
+                "no probe was given: captured {count} from the level in {seconds:.1} s; they are kept beside the output \
+                 for the next bake (--no-capture bakes without)"
+            ));
+        }
+        if inputs.probes.iter().all(|probe| probe.panorama.pixels().iter().all(|pixel| *pixel == [0.0; 3])) {
+            return Err(Fault::Bound(format!(
+                "{}: no light reaches any of the {count} probes that were captured from it: is it closed under its sky? \
+                 Give it lights, or --probes",
+                self.config.level.display()
+            )));
+        }
+        inputs.findings.extend(specular_left_out(&inputs.scene));
+        // The same whether they were there already: same inputs, same bytes.
+        let why = format!("no probe is given: {count} captured from the level");
+        Ok(PlanRow::new("capture", true, why))
+    }
+
+    fn bake(&self, function: &impl RadianceFunction) -> Result<Baked, Fault> {
+        let progress = Progress::new("nodes", self.nodes.len() as u64, self.quiet);
+        let control = Control { cancel: self.cancel, progress: &|nodes, rays| progress.advance(nodes, rays) };
+        let baked = bake::bake(self.nodes, function, self.settings, &control).map_err(|_| Fault::Interrupted)?;
+        progress.finish();
+        if !baked.valid.contains(&true) {
+            return Err(Fault::Bound(format!(
+                "no node of {} saw anything that a probe or the distant panorama has seen, so there is nothing to fill \
+                 from and nothing was written; are the probes' positions in the level's metres, inside the same rooms \
+                 as the nodes, not in a wall?",
+                self.nodes.len()
+            )));
+        }
+        Ok(baked)
+    }
+}
+
+fn no_capture_reason(inputs: &Inputs, method: Method, forbidden: bool) -> &'static str {
+    if method == Method::Path {
+        "path tracing needs no probe"
+    } else if !inputs.probes.is_empty() {
+        "probes are given"
+    } else if forbidden {
+        "forbidden by --no-capture"
+    } else {
+        "no environment geometry that a probe could see"
+    }
+}
+
+fn clamped_light(baked: &Baked, settings: &BakeSettings) -> Option<Finding> {
+    (baked.clamped > 0.0).then(|| {
+        let message = format!("--clamp {} took {:.3} % of the light away", settings.clamp, baked.clamped * 100.0);
+        Finding::new("clamped-light", 1, message)
+    })
+}
+
 fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
     let quality = &config.quality;
     let defaults = BakeSettings::default();
@@ -169,25 +267,16 @@ fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
     if !(1..=BakeSettings::MAX_SAMPLES).contains(&samples) {
         return Err(Fault::Usage(format!("--samples {samples}: expected 1 to {}", BakeSettings::MAX_SAMPLES)));
     }
-    if let Some(target) = quality.target_error.filter(|target| !(*target > 0.0 && target.is_finite())) {
-        return Err(Fault::Usage(format!("--target-error {target}: expected a positive share, 0.01 for 1 %")));
-    }
+    check_target(quality.target_error)?;
     Ok(BakeSettings {
         bands: quality.sh.unwrap_or(defaults.bands),
         samples,
         target_error: quality.target_error,
         seed: quality.seed.unwrap_or(defaults.seed),
         sampler: quality.sampler.unwrap_or(defaults.sampler),
+        punctual: quality.punctual == Some(Punctual::Include),
+        clamp: clamp(quality)?,
     })
-}
-
-fn set_threads(threads: Option<usize>) -> Result<(), Fault> {
-    let Some(threads) = threads else { return Ok(()) };
-    if !(1..=1024).contains(&threads) {
-        return Err(Fault::Usage(format!("--threads {threads}: expected 1 to 1024")));
-    }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
-    pool.map_err(|error| Fault::System(format!("cannot start {threads} threads: {error}")))
 }
 
 /// Says what a bake needs before any of it is taken.
@@ -220,13 +309,16 @@ fn check_output(config: &Config) -> Result<(), Fault> {
     probe.map(drop).map_err(|error| Fault::writing(output, &error))
 }
 
-fn settings_record(config: &Config, settings: &BakeSettings, scene_hit: SceneHit) -> SettingsRecord {
+fn settings_record(config: &Config, settings: &BakeSettings, method: Method) -> SettingsRecord {
     SettingsRecord {
         writer: concat!("gdibl ", env!("CARGO_PKG_VERSION")).into(),
         level: super::file_name(&config.level),
-        method: "gdibl".into(),
+        method: match method {
+            Method::Gdibl => "gdibl".into(),
+            Method::Path => "path".into(),
+        },
         blend: config.quality.blend.unwrap_or_default().to_string(),
-        scene: match scene_hit {
+        scene: match config.quality.scene.unwrap_or_default() {
             SceneHit::Recurse(depth) => format!("recurse:{depth}"),
             SceneHit::Occlude => "occlude".into(),
         },

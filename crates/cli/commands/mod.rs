@@ -1,6 +1,7 @@
 //! One file per verb, and what they share.
 
 pub mod bake;
+pub mod capture;
 pub mod compare;
 pub mod inspect;
 pub mod sample;

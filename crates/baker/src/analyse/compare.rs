@@ -347,6 +347,7 @@ mod tests {
             rays: 0,
             samples: 0,
             missed: 0,
+            clamped: 0.0,
         }
     }
 

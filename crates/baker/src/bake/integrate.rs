@@ -2,7 +2,7 @@
 //!
 //! Estimator: 1/N Σ L(x,ω_i) Y_lm(ω_i) / p(ω_i), the ω_i split into independent replicates of a randomised
 //! low-discrepancy sequence.  p mixes the uniform density with one that follows what is bright (see
-//! [`Proposal`]). With w = 1/(4π p): 4π/N Σ w_i L(x,ω_i) Y_lm(ω_i). The spread of the replicates is the standard
+//! [`Guide`](crate::radiance::Guide)). With w = 1/(4π p): 4π/N Σ w_i L(x,ω_i) Y_lm(ω_i). The spread of the replicates is the standard
 //! error. Accumulated in f64: a sun of 1e9 beside a shadow of 1e-6 keeps its digits.
 //!
 //! A constant is taken out of the noise: B_lm = 4π/N Σ w_i Y_lm(ω_i) is known to be √4π δ_l0, so what it is off by
@@ -14,8 +14,8 @@ use gdibl_runtime::sh;
 use glam::Vec3;
 use std::f64::consts::PI;
 
-use super::Interrupted;
 use super::directions::DirectionMap;
+use crate::Interrupted;
 use crate::radiance::{PathContext, Radiance};
 use crate::sampling::{Sampler, Stream, fibonacci_sphere};
 
@@ -25,7 +25,7 @@ pub const REPLICATES: u32 = 16;
 const ERROR_DIRECTIONS: usize = 26;
 
 /// Sums of L·Y of one replicate.
-type Moments = [[f64; 3]; sh::MAX_COEFFICIENTS];
+pub type Moments = [[f64; 3]; sh::MAX_COEFFICIENTS];
 
 /// What one node came to.
 #[derive(Debug, Clone)]
@@ -39,12 +39,8 @@ pub struct NodeEstimate {
     pub rms_irradiance: f64,
     /// Share of the sphere, 0..=1, that was covered.
     pub coverage: f64,
-}
-
-/// Directions that leave a node, and how likely each is.
-pub trait Proposal: Sync {
-    /// A direction for a point of the unit square, and w = 1/(4π p) of it.
-    fn propose(&self, point: [f32; 2]) -> (Vec3, f32);
+    /// What clamping took: ∫ L dω, summed over R, G and B.
+    pub clamped: f64,
 }
 
 /// Names the random points of one node.
@@ -68,6 +64,9 @@ impl Sequence {
 #[derive(Debug)]
 pub struct Integrator {
     bands: u32,
+    /// Most that a channel of a sample's radiance may be.
+    clamp: f32,
+    clamped: f64,
     /// `irradiance[k][i]`: what coefficient i adds to E in direction k.
     irradiance: Vec<[f64; sh::MAX_COEFFICIENTS]>,
     moments: Vec<Moments>,
@@ -79,8 +78,8 @@ pub struct Integrator {
 }
 
 impl Integrator {
-    /// For volumes up to band `bands` (0..=4).
-    pub fn new(bands: u32) -> Self {
+    /// For volumes up to band `bands` (0..=4); no channel of a sample's radiance exceeds `clamp` (infinity: as it is).
+    pub fn new(bands: u32, clamp: f32) -> Self {
         let irradiance = fibonacci_sphere(ERROR_DIRECTIONS).into_iter().map(|direction| {
             let mut basis = [0.0; sh::MAX_COEFFICIENTS];
             sh::basis(bands, direction.to_array(), &mut basis);
@@ -93,6 +92,8 @@ impl Integrator {
         });
         Integrator {
             bands,
+            clamp,
+            clamped: 0.0,
             irradiance: irradiance.collect(),
             moments: Vec::new(),
             controls: Vec::new(),
@@ -105,11 +106,14 @@ impl Integrator {
     /// is no more than there are, the estimate is returned. It is first asked with 0 samples and no estimate; who
     /// wants a second round starts with at least [`REPLICATES`].
     ///
-    /// `radiance(direction, context)` is L(x, ω), or `None` to give up at once. `rays` grows by the rays traced.
+    /// `propose(point)` is a direction for a point of the unit square, and w = 1/(4π p) of it.
+    /// `radiance(direction, context)` is L(x, ω), or `None` to give up at once. `known` is light whose coefficients are
+    /// known without sampling, and are added. `rays` grows by the rays traced.
     pub fn integrate(
         &mut self,
         sequence: Sequence,
-        proposal: &impl Proposal,
+        propose: impl Fn([f32; 2]) -> (Vec3, f32),
+        known: &Moments,
         rays: &mut u64,
         radiance: impl Fn(Vec3, &mut PathContext) -> Option<Radiance>,
         mut enough: impl FnMut(u64, Option<&NodeEstimate>) -> u64,
@@ -119,6 +123,7 @@ impl Integrator {
         self.uncovered.clear();
         self.moments.clear();
         self.controls.clear();
+        self.clamped = 0.0;
         let mut context = PathContext::new(sequence.replicate(0));
         let mut estimate = None;
         let mut done = 0u64;
@@ -139,8 +144,13 @@ impl Integrator {
                 let mut basis = [0.0f32; sh::MAX_COEFFICIENTS];
                 for sample in range {
                     context.sample = sample;
-                    let (direction, weight) = proposal.propose(context.stream.point(sample, 0));
-                    let arriving = radiance(direction, &mut context).ok_or(Interrupted)?;
+                    let (direction, weight) = propose(context.point(0));
+                    let mut arriving = radiance(direction, &mut context).ok_or(Interrupted)?;
+                    if arriving.value.max_element() > self.clamp {
+                        let kept = arriving.value * (self.clamp / arriving.value.max_element());
+                        self.clamped += f64::from((arriving.value - kept).element_sum() * weight);
+                        arriving.value = kept;
+                    }
                     self.map.add(direction, arriving.value * weight, arriving.coverage * weight);
                     if arriving.coverage < 1.0 {
                         self.uncovered.push((replicate, sample, 1.0 - arriving.coverage));
@@ -153,12 +163,18 @@ impl Integrator {
                 }
             }
             done = target;
-            estimate = Some(self.estimate(sequence, proposal, done));
+            estimate = Some(self.estimate(sequence, &propose, known, done));
         }
     }
 
     /// Fills what is uncovered, and sums up.
-    fn estimate(&mut self, sequence: Sequence, proposal: &impl Proposal, samples: u64) -> NodeEstimate {
+    fn estimate(
+        &mut self,
+        sequence: Sequence,
+        propose: &impl Fn([f32; 2]) -> (Vec3, f32),
+        known: &Moments,
+        samples: u64,
+    ) -> NodeEstimate {
         let count = sh::coefficient_count(self.bands);
         let mut uncovered = 0.0;
         let mut any_covered = true;
@@ -169,7 +185,7 @@ impl Integrator {
             let mut moments = self.moments.clone();
             let mut basis = [0.0f32; sh::MAX_COEFFICIENTS];
             for &(replicate, sample, share) in &self.uncovered {
-                let (direction, weight) = proposal.propose(sequence.replicate(replicate).point(sample, 0));
+                let (direction, weight) = propose(sequence.replicate(replicate).point(sample, 0));
                 sh::basis(self.bands, direction.to_array(), &mut basis);
                 accumulate(&mut moments[replicate as usize][..count], &basis, map.radiance(direction), weight * share);
                 uncovered += f64::from(weight * share);
@@ -199,9 +215,9 @@ impl Integrator {
         let light = slopes.unwrap_or_default();
         for (estimate, control) in estimates.iter_mut().zip(&controls).chain([(&mut mean, &control_mean)]) {
             for i in 0..count {
-                let known = if i == 0 { (4.0 * PI).sqrt() } else { 0.0 };
+                let unit = if i == 0 { (4.0 * PI).sqrt() } else { 0.0 };
                 for channel in 0..3 {
-                    estimate[i][channel] -= light[channel] * (control[i] - known);
+                    estimate[i][channel] += known[i][channel] - light[channel] * (control[i] - unit);
                 }
             }
         }
@@ -230,6 +246,7 @@ impl Integrator {
                 f64::INFINITY
             },
             rms_irradiance: (square / values).sqrt(),
+            clamped: self.clamped * 4.0 * PI / samples as f64,
             coverage: if any_covered { share_covered.clamp(f64::MIN_POSITIVE, 1.0) } else { 0.0 },
         }
     }
@@ -281,11 +298,10 @@ mod tests {
     use super::*;
     use crate::sampling::uniform_sphere;
 
-    struct Uniform;
-    impl Proposal for Uniform {
-        fn propose(&self, point: [f32; 2]) -> (Vec3, f32) {
-            (uniform_sphere(point), 1.0)
-        }
+    const NOTHING: Moments = [[0.0; 3]; sh::MAX_COEFFICIENTS];
+
+    fn uniform(point: [f32; 2]) -> (Vec3, f32) {
+        (uniform_sphere(point), 1.0)
     }
 
     /// Integrates with uniform directions and no interruption; every light here is whole.
@@ -296,7 +312,8 @@ mod tests {
         enough: impl FnMut(u64, Option<&NodeEstimate>) -> u64,
     ) -> NodeEstimate {
         let mut rays = 0;
-        Integrator::new(bands).integrate(sequence, &Uniform, &mut rays, |d, _| Some(light(d)), enough).unwrap()
+        let mut integrator = Integrator::new(bands, f32::INFINITY);
+        integrator.integrate(sequence, uniform, &NOTHING, &mut rays, |d, _| Some(light(d)), enough).unwrap()
     }
 
     fn sobol(seed: u64, node: u64) -> Sequence {
@@ -358,6 +375,29 @@ mod tests {
     }
 
     #[test]
+    fn clamped_light_is_counted() {
+        // An eighth of the sphere is brighter than allowed; what is cut is 9 in one channel, and in the others in proportion.
+        let light = |d: Vec3, _: &mut PathContext| {
+            Some(Radiance::covered(if d.y > 0.75 { Vec3::new(10.0, 5.0, 0.0) } else { Vec3::ONE }))
+        };
+        let mut integrator = Integrator::new(0, 1.0);
+        let estimate = integrator.integrate(sobol(0, 0), uniform, &NOTHING, &mut 0, light, fixed(4096)).unwrap();
+        assert!((estimate.clamped / (0.125 * 4.0 * PI) - 13.5).abs() < 1e-4, "{}", estimate.clamped);
+        assert!((estimate.sh[0][0] / (4.0 * PI).sqrt() - 1.0).abs() < 1e-5, "{:?}", estimate.sh[0]);
+    }
+
+    #[test]
+    fn known_light_is_added_and_costs_no_error() {
+        let mut known = NOTHING;
+        known[0] = [3.0, 2.0, 1.0];
+        let mut integrator = Integrator::new(0, f32::INFINITY);
+        let light = |_: Vec3, _: &mut PathContext| Some(Radiance::covered(Vec3::ONE));
+        let estimate = integrator.integrate(sobol(0, 0), uniform, &known, &mut 0, light, fixed(256)).unwrap();
+        assert!((estimate.sh[0][0] - (4.0 * PI).sqrt() - 3.0).abs() < 1e-6);
+        assert!(estimate.standard_error < 1e-6);
+    }
+
+    #[test]
     fn one_sample_has_no_standard_error() {
         let estimate = integrate(2, sobol(0, 0), |_| Radiance::covered(Vec3::ONE), fixed(1));
         assert!(estimate.standard_error.is_infinite());
@@ -373,7 +413,8 @@ mod tests {
             (calls.get() < 100).then_some(Radiance::UNCOVERED)
         };
         let mut rays = 0;
-        let found = Integrator::new(2).integrate(sobol(0, 0), &Uniform, &mut rays, light, fixed(1 << 31));
+        let mut integrator = Integrator::new(2, f32::INFINITY);
+        let found = integrator.integrate(sobol(0, 0), uniform, &NOTHING, &mut rays, light, fixed(1 << 31));
         assert!(found.is_err());
         assert_eq!(calls.get(), 100);
     }

@@ -9,14 +9,14 @@ mod nodes;
 use gdibl_runtime::sh;
 use glam::Vec3;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
-pub use integrate::Proposal;
-use integrate::{Integrator, NodeEstimate};
+use integrate::{Integrator, Moments, NodeEstimate};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
 
-use crate::radiance::{PathContext, Radiance};
-use crate::sampling::Sampler;
+use crate::radiance::{PathContext, RadianceFunction};
+use crate::sampling::{Sampler, Stream};
+use crate::{Control, Interrupted};
 use integrate::Sequence;
 
 /// How to bake.
@@ -32,11 +32,23 @@ pub struct BakeSettings {
     pub seed: u64,
     /// Where directions come from.
     pub sampler: Sampler,
+    /// Adds the direct light of punctual lights, of which radiance functions tell nothing.
+    pub punctual: bool,
+    /// Most that a channel of a sample's radiance may be; infinity leaves all light as it is.
+    pub clamp: f32,
 }
 
 impl Default for BakeSettings {
     fn default() -> Self {
-        BakeSettings { bands: 2, samples: 4096, target_error: None, seed: 0, sampler: Sampler::Sobol }
+        BakeSettings {
+            bands: 2,
+            samples: 4096,
+            target_error: None,
+            seed: 0,
+            sampler: Sampler::Sobol,
+            punctual: false,
+            clamp: f32::INFINITY,
+        }
     }
 }
 
@@ -46,18 +58,6 @@ impl BakeSettings {
     /// The most samples of one node.
     pub const MAX_SAMPLES: u64 = 1 << 31;
 }
-
-/// Lets a caller watch a bake and stop it.
-pub struct Control<'a> {
-    /// Set it to stop: the bake returns [`Interrupted`] at the next node.
-    pub cancel: &'a AtomicBool,
-    /// Called from worker threads with (nodes finished, rays traced) since the last call.
-    pub progress: &'a (dyn Fn(u64, u64) + Sync),
-}
-
-/// The caller cancelled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Interrupted;
 
 /// A baked volume in memory. Per-node arrays are in node order.
 #[derive(Debug, Clone, PartialEq)]
@@ -79,6 +79,8 @@ pub struct Baked {
     pub samples: u64,
     /// Valid nodes over the target error.
     pub missed: u64,
+    /// Share of the valid nodes' light that clamping took, 0..=1.
+    pub clamped: f64,
 }
 
 impl Baked {
@@ -99,18 +101,17 @@ pub fn memory_needed(nodes: u64, settings: &BakeSettings) -> u64 {
 /// Samples of the pilot that finds the median irradiance, and of the first round of adaptive sampling.
 const PILOT_SAMPLES: u64 = 256;
 
-/// Bakes every node. `radiance(node, direction, context)` is L(x_node, ω); `proposal` chooses the directions.
+/// Bakes every node.
 pub fn bake(
     nodes: &Nodes,
-    proposal: &impl Proposal,
-    radiance: &(impl Fn(usize, Vec3, &mut PathContext) -> Radiance + Sync),
+    function: &impl RadianceFunction,
     settings: &BakeSettings,
     control: &Control,
 ) -> Result<Baked, Interrupted> {
     assert!(settings.bands <= sh::MAX_BANDS, "bands {} of at most {}", settings.bands, sh::MAX_BANDS);
     assert!((1..=BakeSettings::MAX_SAMPLES).contains(&settings.samples), "samples {}", settings.samples);
     let median = match settings.target_error {
-        Some(_) if settings.samples > PILOT_SAMPLES => Some(pilot(nodes, proposal, radiance, settings, control)?),
+        Some(_) if settings.samples > PILOT_SAMPLES => Some(pilot(nodes, function, settings, control)?),
         _ => None,
     };
     let enough = |done: u64, estimate: Option<&NodeEstimate>| match (settings.target_error, median, estimate) {
@@ -122,13 +123,15 @@ pub fn bake(
         }
         _ => settings.samples,
     };
-    let baked = sample_nodes(nodes, proposal, radiance, settings, control, enough)?;
+    let baked = sample_nodes(nodes, function, settings, control, enough)?;
     let Sampled { sh, estimates, rays, samples } = baked;
     let valid: Vec<bool> = estimates.iter().map(|e| e.coverage > 0.0).collect();
     let median = median.unwrap_or_else(|| median_irradiance(&estimates));
     let relative = |e: &Summary| if e.coverage > 0.0 { e.relative_error(median) as f32 } else { 0.0 };
     let relative_error: Vec<f32> = estimates.iter().map(relative).collect();
     let target = settings.target_error.unwrap_or(f64::INFINITY) as f32;
+    let total = |of: fn(&Summary) -> f64| estimates.iter().filter(|e| e.coverage > 0.0).map(of).sum::<f64>();
+    let (clamped, kept) = (total(|e| e.clamped), total(|e| e.kept));
     let mut baked = Baked {
         bands: settings.bands,
         sh,
@@ -138,6 +141,7 @@ pub fn bake(
         valid,
         rays,
         samples,
+        clamped: if clamped > 0.0 { clamped / (clamped + kept) } else { 0.0 },
     };
     fill_invalid(nodes, &mut baked);
     Ok(baked)
@@ -146,13 +150,12 @@ pub fn bake(
 /// Median RMS of E over the nodes, from a few samples each: the floor of relative errors.
 fn pilot(
     nodes: &Nodes,
-    proposal: &impl Proposal,
-    radiance: &(impl Fn(usize, Vec3, &mut PathContext) -> Radiance + Sync),
+    function: &impl RadianceFunction,
     settings: &BakeSettings,
     control: &Control,
 ) -> Result<f64, Interrupted> {
     let silent = Control { cancel: control.cancel, progress: &|_, _| {} };
-    let sampled = sample_nodes(nodes, proposal, radiance, settings, &silent, |_, _| PILOT_SAMPLES)?;
+    let sampled = sample_nodes(nodes, function, settings, &silent, |_, _| PILOT_SAMPLES)?;
     Ok(median_irradiance(&sampled.estimates))
 }
 
@@ -162,6 +165,9 @@ struct Summary {
     standard_error: f64,
     rms_irradiance: f64,
     coverage: f64,
+    /// ∫ L dω that clamping took, and that is left, over R, G and B.
+    clamped: f64,
+    kept: f64,
 }
 
 impl Summary {
@@ -178,7 +184,13 @@ fn relative_error(estimate: &NodeEstimate, median: f64) -> f64 {
 
 impl From<&NodeEstimate> for Summary {
     fn from(e: &NodeEstimate) -> Self {
-        Summary { standard_error: e.standard_error, rms_irradiance: e.rms_irradiance, coverage: e.coverage }
+        Summary {
+            standard_error: e.standard_error,
+            rms_irradiance: e.rms_irradiance,
+            coverage: e.coverage,
+            clamped: e.clamped,
+            kept: e.sh[0].iter().sum::<f64>() * (4.0 * std::f64::consts::PI).sqrt(),
+        }
     }
 }
 
@@ -200,8 +212,7 @@ struct Sampled {
 
 fn sample_nodes(
     nodes: &Nodes,
-    proposal: &impl Proposal,
-    radiance: &(impl Fn(usize, Vec3, &mut PathContext) -> Radiance + Sync),
+    function: &impl RadianceFunction,
     settings: &BakeSettings,
     control: &Control,
     enough: impl Fn(u64, Option<&NodeEstimate>) -> u64 + Sync,
@@ -210,18 +221,20 @@ fn sample_nodes(
     let mut coefficients = vec![0.0f32; stride * nodes.len()];
     let mut estimates = vec![Summary::default(); nodes.len()];
     let (rays, samples) = (AtomicU64::new(0), AtomicU64::new(0));
-    let cancelled = || control.cancel.load(Ordering::Relaxed);
     let places = coefficients.par_chunks_exact_mut(stride).zip(estimates.par_iter_mut()).enumerate();
     places.with_max_len(8).try_for_each_init(
-        || Integrator::new(settings.bands),
+        || Integrator::new(settings.bands, settings.clamp),
         |integrator, (index, (out, summary))| {
             let (mut own_rays, mut own_samples) = (0, 0);
+            let origin = nodes.ray_origin(index, function.frame());
+            let known = if settings.punctual { punctual_light(function, origin, &mut own_rays) } else { NO_LIGHT };
             let estimate = integrator.integrate(
                 Sequence { sampler: settings.sampler, seed: settings.seed, node: index as u64 },
-                proposal,
+                |point| function.guide().propose(origin, point),
+                &known,
                 &mut own_rays,
                 // A node may take minutes: its rays stop, too.
-                |direction, context| (!cancelled()).then(|| radiance(index, direction, context)),
+                |direction, context| (!control.cancelled()).then(|| function.radiance(origin, direction, context)),
                 |done, estimate| {
                     own_samples = enough(done, estimate).max(done);
                     own_samples
@@ -238,6 +251,24 @@ fn sample_nodes(
         },
     )?;
     Ok(Sampled { sh: coefficients, estimates, rays: rays.into_inner(), samples: samples.into_inner() })
+}
+
+const NO_LIGHT: Moments = [[0.0; 3]; sh::MAX_COEFFICIENTS];
+
+/// Coefficients of the direct light of punctual lights: a direction ω that brings irradiance E to a surface facing it
+/// has L_lm = E Y_lm(ω).
+fn punctual_light(function: &impl RadianceFunction, origin: Vec3, rays: &mut u64) -> Moments {
+    let mut moments = NO_LIGHT;
+    let mut context = PathContext::new(Stream::new(Sampler::Sobol, 0, 0, 0));
+    function.punctual(origin, &mut context, |direction, irradiance| {
+        let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+        sh::basis(sh::MAX_BANDS, direction.to_array(), &mut basis);
+        for (sum, y) in moments.iter_mut().zip(basis) {
+            (0..3).for_each(|channel| sum[channel] += f64::from(irradiance[channel]) * f64::from(y));
+        }
+    });
+    *rays += context.rays;
+    moments
 }
 
 /// Invalid nodes take the light of valid ones: on a grid layer by layer from their neighbours' mean, elsewhere

@@ -9,10 +9,12 @@ use glam::{DVec3, Mat3, Quat, Vec3};
 
 use super::blend::{BlendRule, NEGLIGIBLE, View};
 use super::effects::EffectCache;
-use super::{PathContext, Radiance};
-use crate::bake::Proposal;
-use crate::panorama::{Importance, Panorama};
-use crate::sampling::{Sampler, Stream, cosine_hemisphere, uniform_sphere};
+use super::guide::Guide;
+use super::punctual::Punctual;
+use super::sky::{Distant, Sky};
+use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction};
+use crate::panorama::Panorama;
+use crate::sampling::{Sampler, Stream, cosine_hemisphere};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Hit, Surfaces};
 
@@ -24,19 +26,6 @@ pub struct Probe {
     /// World position, metres.
     pub position: DVec3,
     /// Probe to world.
-    pub rotation: Quat,
-    /// Radiance = pixel × 2^exposure_stops.
-    pub exposure_stops: f32,
-    /// The image.
-    pub panorama: Panorama,
-}
-
-/// A panorama at infinity.
-#[derive(Debug, Clone)]
-pub struct Distant {
-    /// Where to find it again: the file's name.
-    pub name: String,
-    /// Panorama to world.
     pub rotation: Quat,
     /// Radiance = pixel × 2^exposure_stops.
     pub exposure_stops: f32,
@@ -70,14 +59,8 @@ pub struct GdiblSettings {
     pub seed: u64,
 }
 
-/// Partly clear surfaces that one ray may cross; past them the rest of the ray counts as uncovered.
-const MAX_LAYERS: u32 = 64;
 /// A ray that has lost all but this share is not followed further.
 const CLEAR_ENOUGH: f32 = 1.0 / 1024.0;
-
-/// Share of directions that are uniform over the sphere; the others follow the distant panorama. Half: the weight
-/// of no direction exceeds two, whatever hides the bright ones from a node.
-const UNIFORM_SHARE: f32 = 0.5;
 
 /// Where a path of a sample stands.
 #[derive(Debug, Clone, Copy, Default)]
@@ -115,10 +98,9 @@ pub struct Gdibl<'a> {
     objects: Option<Surfaces>,
     probes: &'a [Probe],
     placed: Vec<PlacedProbe>,
-    distant: Option<&'a Distant>,
-    distant_to_local: Mat3,
-    distant_gain: f32,
-    importance: Option<Importance>,
+    sky: Option<Sky<'a>>,
+    guide: Guide,
+    punctual: Punctual,
     settings: GdiblSettings,
     effects: Option<EffectCache>,
 }
@@ -141,19 +123,20 @@ impl<'a> Gdibl<'a> {
         distant: Option<&'a Distant>,
         settings: GdiblSettings,
     ) -> Gdibl<'a> {
-        let frame = scene.bounds(|_| true).map_or_else(Frame::default, |(min, max)| Frame::of_bounds(min, max));
+        let frame = Frame::of_scene(scene);
         let placed = probes.iter().map(|probe| PlacedProbe {
             position: frame.to_trace(probe.position),
             to_local: Mat3::from_quat(probe.rotation.inverse()),
             gain: probe.exposure_stops.exp2(),
             pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
         });
-        let environment = Surfaces::new(scene, Role::Environment, &frame);
-        let objects = Surfaces::new(scene, Role::Scene, &frame);
+        let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame);
+        let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
         let effects = match (&environment, &objects, settings.scene_hit) {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment)),
             _ => None,
         };
+        let guide = Guide::new(scene, distant, &environment.iter().chain(&objects).collect::<Vec<_>>());
         Gdibl {
             scene,
             frame,
@@ -161,23 +144,12 @@ impl<'a> Gdibl<'a> {
             objects,
             probes,
             placed: placed.collect(),
-            distant,
-            distant_to_local: distant.map_or(Mat3::IDENTITY, |d| Mat3::from_quat(d.rotation.inverse())),
-            distant_gain: distant.map_or(1.0, |d| d.exposure_stops.exp2()),
-            importance: distant.and_then(|d| Importance::new(&d.panorama)),
+            sky: distant.map(Sky::new),
+            guide,
+            punctual: Punctual::new(scene, &frame),
             settings,
             effects,
         }
-    }
-
-    /// World ↔ trace positions.
-    pub fn frame(&self) -> &Frame {
-        &self.frame
-    }
-
-    /// Rays leave nodes toward what is bright at infinity, too.
-    pub fn has_importance(&self) -> bool {
-        self.importance.is_some()
     }
 
     /// How many probes may lend light.
@@ -187,7 +159,7 @@ impl<'a> Gdibl<'a> {
 
     /// A distant panorama lights what escapes.
     pub fn has_distant(&self) -> bool {
-        self.distant.is_some()
+        self.sky.is_some()
     }
 
     /// The rule in force.
@@ -198,11 +170,6 @@ impl<'a> Gdibl<'a> {
     /// What rays do at scene geometry.
     pub fn scene_hit(&self) -> SceneHit {
         self.settings.scene_hit
-    }
-
-    /// Radiance that arrives at `origin` (trace space) from unit `direction`.
-    pub fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
-        self.radiance_along(origin, direction, Walk::default(), context)
     }
 
     /// 1. The nearest hit wins; what a partly clear surface lets through goes on.
@@ -387,9 +354,8 @@ impl<'a> Gdibl<'a> {
 
     /// 4. Nothing hit: the distant panorama, or else the probes that look out in the same direction.
     fn escaping_radiance(&self, direction: Vec3, context: &mut PathContext) -> Radiance {
-        if let Some(distant) = self.distant {
-            let radiance = distant.panorama.radiance(self.distant_to_local * direction);
-            return Radiance::covered(radiance * self.distant_gain);
+        if let Some(sky) = &self.sky {
+            return Radiance::covered(sky.radiance(direction));
         }
         let mut sum = Vec3::ZERO;
         let mut total = 0.0;
@@ -406,19 +372,30 @@ impl<'a> Gdibl<'a> {
     }
 }
 
-/// Multiple importance sampling by the one density of the mixture (balance heuristic; Veach, 1997, §9.2): the first
-/// coordinate chooses the technique and is stretched again, so that both keep an even share of an even sequence.
-impl Proposal for Gdibl<'_> {
-    fn propose(&self, [first, second]: [f32; 2]) -> (Vec3, f32) {
-        let Some(importance) = &self.importance else { return (uniform_sphere([first, second]), 1.0) };
-        let (direction, density) = if first < UNIFORM_SHARE {
-            let direction = uniform_sphere([first / UNIFORM_SHARE, second]);
-            (direction, importance.density(self.distant_to_local * direction))
-        } else {
-            let (local, density) = importance.sample([(first - UNIFORM_SHARE) / (1.0 - UNIFORM_SHARE), second]);
-            (self.distant_to_local.transpose() * local, density)
-        };
-        let uniform = 0.25 * std::f32::consts::FRAC_1_PI;
-        (direction, uniform / (UNIFORM_SHARE * uniform + (1.0 - UNIFORM_SHARE) * density))
+impl RadianceFunction for Gdibl<'_> {
+    fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    fn guide(&self) -> &Guide {
+        &self.guide
+    }
+
+    fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
+        self.radiance_along(origin, direction, Walk::default(), context)
+    }
+
+    fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {
+        for arriving in self.punctual.arriving(origin) {
+            let mut clear = 1.0;
+            for surfaces in self.environment.iter().chain(&self.objects) {
+                context.rays += 1;
+                clear *= match arriving.position {
+                    Some(position) => surfaces.transmittance(self.scene, origin, position, None),
+                    None => surfaces.escaping(self.scene, origin, arriving.direction),
+                };
+            }
+            add(arriving.direction, arriving.irradiance * clear);
+        }
     }
 }

@@ -2,11 +2,39 @@
 
 pub mod blend;
 mod effects;
+mod emitters;
 pub mod gdibl;
+mod guide;
+pub mod path;
+mod punctual;
+mod sky;
 
 use glam::Vec3;
 
 use crate::sampling::Stream;
+use crate::trace::Frame;
+pub use guide::Guide;
+pub use sky::Distant;
+
+/// Light that arrives at a point, by direction. GDIBL and path tracing differ in this alone.
+pub trait RadianceFunction: Sync {
+    /// World ↔ trace positions.
+    fn frame(&self) -> &Frame;
+
+    /// Which directions are worth a ray.
+    fn guide(&self) -> &Guide;
+
+    /// Radiance that arrives at `origin` (trace space) from the unit `direction`. Pair 0 of the context's random numbers
+    /// has chosen the direction; the function takes its own from the later ones.
+    fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance;
+
+    /// Calls `add(direction, irradiance)` for every punctual light that is seen from `origin`: the direct light, of which
+    /// [`RadianceFunction::radiance`] tells nothing.
+    fn punctual(&self, origin: Vec3, context: &mut PathContext, add: impl FnMut(Vec3, Vec3));
+}
+
+/// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
+const MAX_LAYERS: u32 = 64;
 
 /// Radiance that arrives along a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,5 +72,10 @@ impl PathContext {
     /// For the given stream of points.
     pub fn new(stream: Stream) -> Self {
         PathContext { stream, sample: 0, rays: 0, scratch: Default::default() }
+    }
+
+    /// Random numbers `pair` of the sample at hand.
+    pub fn point(&self, pair: u32) -> [f32; 2] {
+        self.stream.point(self.sample, pair)
     }
 }

@@ -9,7 +9,7 @@ mod triangle;
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
-use crate::scene::{Alpha, Material, Mesh, Role, Scene};
+use crate::scene::{Alpha, Material, Mesh, Scene};
 pub use tree::{Tree, TreeHit};
 
 /// Half the size of the level in trace units lies in `TRACE_EXTENT/2 ..= TRACE_EXTENT`.
@@ -41,6 +41,11 @@ impl Frame {
         let origin = if half.is_finite() { (min + max) / 2.0 } else { DVec3::ZERO };
         let half = if half.is_finite() { ((max - min) / 2.0 * scale).as_vec3() } else { Vec3::ZERO };
         Frame { origin, scale, half }
+    }
+
+    /// The frame of a level: of all its geometry.
+    pub fn of_scene(scene: &Scene) -> Frame {
+        scene.bounds(|_| true).map_or_else(Frame::default, |(min, max)| Frame::of_bounds(min, max))
     }
 
     /// World → trace.
@@ -76,7 +81,7 @@ struct Source {
     triangle: u32,
 }
 
-/// All triangles of one role, ready to trace.
+/// Triangles of some of the level's meshes, ready to trace.
 #[derive(Debug)]
 pub struct Surfaces {
     tree: Tree,
@@ -99,20 +104,20 @@ pub struct Hit {
     pub back: bool,
     /// What a ray loses here, 0..=1 (1 for opaque).
     pub opacity: f32,
-    /// Index into the role's surfaces.
+    /// Index into the surfaces that were hit.
     pub triangle: u32,
     /// Weights of corners 1 and 2.
     pub barycentric: Vec2,
 }
 
 impl Surfaces {
-    /// Collects the triangles of `role`. Returns `None` when there are none: what a level does not have is not
-    /// traced.
-    pub fn new(scene: &Scene, role: Role, frame: &Frame) -> Option<Surfaces> {
+    /// Collects the triangles of the meshes that `keep` picks. Returns `None` when there are none: what a level does not
+    /// have is not traced.
+    pub fn new(scene: &Scene, keep: impl Fn(&Mesh) -> bool, frame: &Frame) -> Option<Surfaces> {
         let mut corners = Vec::new();
         let mut sources = Vec::new();
         let mut any_clear = false;
-        for (index, mesh) in scene.meshes.iter().enumerate().filter(|(_, m)| m.role == role) {
+        for (index, mesh) in scene.meshes.iter().enumerate().filter(|(_, m)| keep(m)) {
             any_clear |= scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
             for (triangle, &ids) in mesh.triangles.iter().enumerate() {
                 corners.push(ids.map(|i| frame.to_trace(mesh.positions[i as usize])));
@@ -238,16 +243,18 @@ impl Surfaces {
         material.emission * texel.truncate()
     }
 
-    fn opacity(&self, scene: &Scene, hit: &TreeHit) -> f32 {
-        let material = self.material(scene, hit.triangle);
+    /// What a ray loses at a place on a triangle, 0..=1.
+    pub fn opacity_at(&self, scene: &Scene, triangle: u32, barycentric: Vec2) -> f32 {
+        let material = self.material(scene, triangle);
         match material.alpha {
             Alpha::Opaque => 1.0,
-            Alpha::Mask(cutoff) => {
-                let alpha = self.base_color(scene, hit.triangle, Vec2::new(hit.v, hit.w)).w;
-                if alpha >= cutoff { 1.0 } else { 0.0 }
-            }
-            Alpha::Blend => self.base_color(scene, hit.triangle, Vec2::new(hit.v, hit.w)).w.clamp(0.0, 1.0),
+            Alpha::Mask(cutoff) => f32::from(self.base_color(scene, triangle, barycentric).w >= cutoff),
+            Alpha::Blend => self.base_color(scene, triangle, barycentric).w.clamp(0.0, 1.0),
         }
+    }
+
+    fn opacity(&self, scene: &Scene, hit: &TreeHit) -> f32 {
+        self.opacity_at(scene, hit.triangle, Vec2::new(hit.v, hit.w))
     }
 
     fn base_color(&self, scene: &Scene, triangle: u32, barycentric: Vec2) -> Vec4 {

@@ -1,6 +1,7 @@
 //! Blending at a surface point, through the whole radiance function.
 
 use gdibl_baker::radiance::PathContext;
+use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::sampling::{Sampler, Stream};

@@ -2,6 +2,7 @@
 
 use gdibl_baker::bake::BakeSettings;
 use gdibl_baker::radiance::PathContext;
+use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::sampling::{Sampler, Stream, fibonacci_sphere, uniform_sphere};
 use gdibl_baker::scene::{Role, Scene};

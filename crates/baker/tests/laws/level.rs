@@ -1,9 +1,11 @@
 //! Levels made of boxes, probes made of functions, and bakes of a few points.
 
+use gdibl_baker::Control;
 use gdibl_baker::analyse::radiance_sh;
-use gdibl_baker::bake::{BakeSettings, Baked, Control, Nodes, bake};
+use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::panorama::Panorama;
-use gdibl_baker::radiance::gdibl::{Distant, Gdibl, GdiblSettings, Probe};
+use gdibl_baker::radiance::Distant;
+use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
 use gdibl_runtime::RadianceSh;
 use glam::{DVec3, Quat, Vec3};
@@ -96,16 +98,7 @@ pub fn gdibl<'a>(scene: &'a Scene, probes: &'a [Probe], distant: Option<&'a Dist
 pub fn bake_points(function: &Gdibl, points: &[DVec3], settings: &BakeSettings) -> Baked {
     let nodes = Nodes::Points(points.to_vec());
     let cancel = AtomicBool::new(false);
-    bake(
-        &nodes,
-        function,
-        &|node, direction, context: &mut _| {
-            function.radiance(nodes.ray_origin(node, function.frame()), direction, context)
-        },
-        settings,
-        &Control { cancel: &cancel, progress: &|_, _| {} },
-    )
-    .expect("nobody interrupts")
+    bake(&nodes, function, settings, &Control { cancel: &cancel, progress: &|_, _| {} }).expect("nobody interrupts")
 }
 
 /// Coefficients of a node.
@@ -132,4 +125,6 @@ pub const SMALL: BakeSettings = BakeSettings {
     target_error: None,
     seed: 3,
     sampler: gdibl_baker::sampling::Sampler::Sobol,
+    punctual: false,
+    clamp: f32::INFINITY,
 };

@@ -10,7 +10,7 @@ use crate::level::*;
 use crate::sun::exact_sh;
 
 /// A sky with a bright patch and soft structure.
-fn sky() -> gdibl_baker::radiance::gdibl::Distant {
+fn sky() -> gdibl_baker::radiance::Distant {
     distant(panorama(64, |d| {
         let patch = 30.0 * (8.0 * (d.x * 0.6 + d.y * 0.8 - 1.0)).exp();
         [1.0 + d.y + patch, 1.2 + d.x * d.z + patch, 0.8 + 0.5 * d.z]

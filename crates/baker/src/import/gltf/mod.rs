@@ -86,6 +86,24 @@ pub fn read_level(path: &Path, options: &GltfOptions) -> Result<Scene> {
     parse_level(&bytes, path, options)
 }
 
+/// The bytes of the level at `path` and of every file beside it that it names, in its order: what its light depends on, for
+/// recognising it again. A file that is missing counts as empty: it may not be needed.
+pub fn read_files(path: &Path) -> Result<Vec<Vec<u8>>> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let mut findings = Findings::default();
+    let mut files = Vec::new();
+    {
+        let document = Document::read(&container::split(&bytes, path, &mut findings)?, path, &mut findings)?;
+        let buffers = document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
+        let images = document.images.iter().filter_map(|image| image.uri.as_deref());
+        for uri in buffers.chain(images).filter(|uri| !uri::is_data(uri)) {
+            files.push(uri::load(uri, path, "a file").unwrap_or_default());
+        }
+    }
+    files.insert(0, bytes);
+    Ok(files)
+}
+
 /// Reads a level from its bytes. `path` names it in messages, and its folder is where files are looked for.
 pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<Scene> {
     let mut findings = Findings::default();

@@ -16,9 +16,14 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
 
+/// It holds its bytes itself.
+pub(super) fn is_data(uri: &str) -> bool {
+    uri.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:"))
+}
+
 /// Reads what `uri` names. `level` is the level's path; `place` says who asks ("buffer 0").
 pub(super) fn load(uri: &str, level: &Path, place: &str) -> Result<Vec<u8>> {
-    if uri.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:")) {
+    if is_data(uri) {
         return decode_data(&uri[5..]).map_err(|found| Error::invalid(level, format!("{place}: its data URI {found}")));
     }
     let relative = relative_path(uri).map_err(|found| {

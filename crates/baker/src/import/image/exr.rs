@@ -52,6 +52,7 @@ fn decode_unguarded(path: &Path, mut file: &File, length: u64) -> Result<Decoded
         EnvironmentMap::LatitudeLongitude => Mapping::LatLong,
         EnvironmentMap::Cube => Mapping::CubeExr,
     });
+    let mapping = mapping.or(pose::mapping(path, header)?);
     let pose: Pose = pose::read(path, header, &mut findings)?;
     let window = Window::new(path, header, mapping, &mut findings)?;
     note_chromaticities(header, &mut findings);

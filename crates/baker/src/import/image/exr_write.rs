@@ -4,7 +4,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use ::exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Layer, write::WritableImage};
-use ::exr::meta::attribute::{EnvironmentMap, LineOrder, Text};
+use ::exr::meta::attribute::{AttributeValue, EnvironmentMap, LineOrder, Text};
 use ::exr::meta::header::LayerAttributes;
 use ::exr::prelude::{Blocks, Compression, SmallVec};
 use half::f16;
@@ -26,7 +26,7 @@ pub enum SampleFormat {
 /// Writes `image` to `path`: first to a temporary file beside it, then renamed, so that a reader finds the whole
 /// file or none. The bytes depend on the arguments alone.
 ///
-/// `mapping` must be one that EXR's attribute `envmap` can name: lat-long or cube-exr; others are `Unsupported`.
+/// EXR's attribute `envmap` names lat-long and cube-exr; other mappings go into `gdibl:mapping`.
 /// Returns the finding `half-float-clipping` where F16 cut light off.
 pub fn write_exr(
     path: &Path,
@@ -38,16 +38,22 @@ pub fn write_exr(
     assert_eq!(image.pixels.len(), image.width * image.height, "pixels of the image");
     assert!(!image.pixels.is_empty(), "an image needs pixels");
     let environment_map = match mapping {
-        Mapping::LatLong => EnvironmentMap::LatitudeLongitude,
-        Mapping::CubeExr => EnvironmentMap::Cube,
-        _ => {
+        Mapping::LatLong => Some(EnvironmentMap::LatitudeLongitude),
+        Mapping::CubeExr => Some(EnvironmentMap::Cube),
+        _ => None,
+    };
+    let mut attributes = LayerAttributes { environment_map, ..Default::default() };
+    // The crate keeps unknown attributes in hash maps, which have no order: one attribute per map, so that two runs
+    // write the same bytes.
+    if environment_map.is_none() {
+        if pose.rotation.is_some() {
             return Err(Error::unsupported(
                 path,
-                format!("EXR can name the mappings lat-long and cube-exr, not {}: convert first", mapping.name()),
+                format!("a turned probe in the mapping {}: write lat-long or cube-exr", mapping.name()),
             ));
         }
-    };
-    let mut attributes = LayerAttributes { environment_map: Some(environment_map), ..Default::default() };
+        attributes.other.insert(Text::from(pose::MAPPING), AttributeValue::Text(Text::from(mapping.name())));
+    }
     if let Some(rotation) = pose.rotation {
         attributes.other.insert(Text::from(pose::ROTATION), pose::rotation_value(rotation));
     }
@@ -58,8 +64,6 @@ pub fn write_exr(
         AnyChannels::sort(channels(image, format)),
     );
     let mut file = ::exr::image::Image::from_layer(layer);
-    // The crate keeps unknown attributes in hash maps, which have no order: one attribute per map, so that two runs
-    // write the same bytes.
     if let Some(position) = pose.position {
         file.attributes.other.insert(Text::from(pose::POSITION), pose::position_value(position));
     }

@@ -21,6 +21,7 @@ use exr::meta::attribute::{AttributeValue, Text};
 use exr::meta::header::Header;
 use glam::{DMat3, DQuat, DVec3, DVec4};
 
+use crate::panorama::Mapping;
 use crate::{Error, Finding, Result};
 
 /// Position and orientation of a probe; each `None` where the file does not say.
@@ -35,6 +36,8 @@ pub struct Pose {
 /// Attribute names.
 pub(super) const POSITION: &str = "gdibl:position";
 pub(super) const ROTATION: &str = "gdibl:rotation";
+/// The name of the layout, where EXR's own `envmap` has none for it.
+pub(super) const MAPPING: &str = "gdibl:mapping";
 
 /// Reads the pose of a layer. Our own attributes must be right; a `worldToCamera` that gives no pose is a finding.
 pub(super) fn read(path: &Path, header: &Header, findings: &mut Vec<Finding>) -> Result<Pose> {
@@ -76,6 +79,19 @@ pub(super) fn read(path: &Path, header: &Header, findings: &mut Vec<Finding>) ->
         pose.rotation = Some(DQuat::from_vec4(DVec4::new(n[0], n[1], n[2], n[3])).normalize());
     }
     Ok(pose)
+}
+
+/// The layout that our own attribute names.
+pub(super) fn mapping(path: &Path, header: &Header) -> Result<Option<Mapping>> {
+    match header.own_attributes.other.get(&Text::from(MAPPING)) {
+        None => Ok(None),
+        Some(AttributeValue::Text(name)) if Mapping::parse(&name.to_string()).is_some() => {
+            Ok(Mapping::parse(&name.to_string()))
+        }
+        Some(value) => {
+            Err(Error::invalid(path, format!("attribute {MAPPING} is {value:?}; expected a mapping's name")))
+        }
+    }
 }
 
 /// Three or four numbers in the types they can be stored in.

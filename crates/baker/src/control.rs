@@ -1,0 +1,22 @@
+//! Watching long work, and stopping it.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Lets a caller watch a bake or a capture and stop it.
+pub struct Control<'a> {
+    /// Set it to stop: the work returns [`Interrupted`] within a few rays.
+    pub cancel: &'a AtomicBool,
+    /// Called from worker threads with (nodes or pixels finished, rays traced) since the last call.
+    pub progress: &'a (dyn Fn(u64, u64) + Sync),
+}
+
+impl Control<'_> {
+    /// The caller wants to stop.
+    pub fn cancelled(&self) -> bool {
+        self.cancel.load(Ordering::Relaxed)
+    }
+}
+
+/// The caller cancelled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interrupted;

@@ -1,0 +1,67 @@
+//! The panorama at infinity.
+
+use glam::{Mat3, Quat, Vec3};
+
+use crate::panorama::{Importance, Panorama};
+
+/// A panorama at infinity.
+#[derive(Debug, Clone)]
+pub struct Distant {
+    /// Where to find it again: the file's name.
+    pub name: String,
+    /// Panorama to world.
+    pub rotation: Quat,
+    /// Radiance = pixel × 2^exposure_stops.
+    pub exposure_stops: f32,
+    /// The image.
+    pub panorama: Panorama,
+}
+
+/// A distant panorama as rays of the world see it.
+#[derive(Debug)]
+pub(super) struct Sky<'a> {
+    panorama: &'a Panorama,
+    to_local: Mat3,
+    gain: f32,
+}
+
+impl<'a> Sky<'a> {
+    pub fn new(distant: &'a Distant) -> Sky<'a> {
+        Sky {
+            panorama: &distant.panorama,
+            to_local: Mat3::from_quat(distant.rotation.inverse()),
+            gain: distant.exposure_stops.exp2(),
+        }
+    }
+
+    /// Radiance that arrives from the unit `direction` (world).
+    pub fn radiance(&self, direction: Vec3) -> Vec3 {
+        self.panorama.radiance(self.to_local * direction) * self.gain
+    }
+}
+
+/// Directions toward what is bright at infinity.
+#[derive(Debug)]
+pub(super) struct SkyImportance {
+    importance: Importance,
+    to_local: Mat3,
+}
+
+impl SkyImportance {
+    /// `None` for a black panorama.
+    pub fn new(distant: &Distant) -> Option<SkyImportance> {
+        let importance = Importance::new(&distant.panorama)?;
+        Some(SkyImportance { importance, to_local: Mat3::from_quat(distant.rotation.inverse()) })
+    }
+
+    /// A direction (world) for a point of the unit square, and its density per steradian.
+    pub fn sample(&self, point: [f32; 2]) -> (Vec3, f32) {
+        let (local, density) = self.importance.sample(point);
+        (self.to_local.transpose() * local, density)
+    }
+
+    /// Density per steradian with which [`SkyImportance::sample`] returns `direction`.
+    pub fn density(&self, direction: Vec3) -> f32 {
+        self.importance.density(self.to_local * direction)
+    }
+}

@@ -1,0 +1,208 @@
+//! Probes captured from the level: for `capture`, and for a bake that was given none.
+
+use glam::DVec3;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, capture, place_probes};
+use gdibl_baker::import::gltf::{TextureNeeds, read_files};
+use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
+use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
+use gdibl_baker::radiance::path::{Path as Paths, PathSettings};
+use gdibl_baker::scene::Scene;
+use gdibl_baker::{Control, Finding};
+
+use crate::config::{CaptureFlags, Config, ProbeEntry};
+use crate::fault::Fault;
+use crate::inputs::{Inputs, images_of};
+use crate::progress::Progress;
+
+/// A probe that is to be captured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Place {
+    pub position: DVec3,
+    pub file: PathBuf,
+}
+
+/// What came of one.
+pub struct Outcome {
+    pub place: Place,
+    pub captured: Captured,
+    pub findings: Vec<Finding>,
+    pub seconds: f64,
+}
+
+/// Paths per pixel when a target is given and nothing else is said.
+const TARGET_SAMPLES: u32 = 65_536;
+
+/// The settings that the flags ask for.
+pub fn capture_settings(config: &Config) -> Result<CaptureSettings, Fault> {
+    let flags = &config.capture;
+    let defaults = CaptureSettings::default();
+    let width = flags.width.unwrap_or(defaults.width);
+    if !(4..=16384).contains(&width) || !width.is_multiple_of(2) {
+        return Err(Fault::Usage(format!("--width {width}: expected an even number from 4 to 16384")));
+    }
+    let samples = flags.samples.unwrap_or(if flags.target_error.is_some() { TARGET_SAMPLES } else { defaults.samples });
+    if samples == 0 {
+        return Err(Fault::Usage("--samples 0: expected at least 1".into()));
+    }
+    crate::config::check_target(flags.target_error)?;
+    Ok(CaptureSettings {
+        width,
+        samples,
+        target_error: flags.target_error,
+        seed: config.quality.seed.unwrap_or(defaults.seed),
+        clamp: crate::config::clamp(&config.quality)?,
+    })
+}
+
+/// How probes see: bounces as for path tracing, scene geometry left out.
+pub fn path_settings(config: &Config) -> Result<PathSettings, Fault> {
+    Ok(PathSettings { scene_geometry: false, ..crate::config::path_settings(&config.quality)? })
+}
+
+/// The places that were asked for, by files in `folder`.
+pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path) -> Vec<Place> {
+    let positions: Vec<DVec3> = if flags.positions.is_empty() {
+        let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
+        let settings =
+            PlaceSettings { most: flags.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
+        bounds.map_or_else(Vec::new, |bounds| place_probes(paths, bounds, &settings).positions)
+    } else {
+        flags.positions.iter().map(|p| DVec3::from(*p)).collect()
+    };
+    let digits = positions.len().saturating_sub(1).to_string().len();
+    let file = |i: usize| folder.join(format!("probe_{i:0digits$}.exr"));
+    positions.into_iter().enumerate().map(|(i, position)| Place { position, file: file(i) }).collect()
+}
+
+/// Captures and writes every place.
+pub fn capture_all(
+    paths: &Paths,
+    places: &[Place],
+    mapping: Mapping,
+    settings: &CaptureSettings,
+    cancel: &AtomicBool,
+    quiet: bool,
+) -> Result<Vec<Outcome>, Fault> {
+    let pixels = (settings.width * (settings.width / 2) * places.len()) as u64;
+    let progress = Progress::new("pixels", pixels, quiet);
+    let control = Control { cancel, progress: &|pixels, rays| progress.advance(pixels, rays) };
+    let mut outcomes = Vec::new();
+    for (index, place) in places.iter().enumerate() {
+        let started = Instant::now();
+        let captured = capture(paths, place.position, index as u64, settings, &control);
+        let captured = captured.map_err(|_| Fault::Interrupted)?;
+        let findings = write(place, &captured, mapping)?;
+        outcomes.push(Outcome { place: place.clone(), captured, findings, seconds: started.elapsed().as_secs_f64() });
+    }
+    progress.finish();
+    Ok(outcomes)
+}
+
+/// Half floats where they can hold the light.
+fn write(place: &Place, captured: &Captured, mapping: Mapping) -> Result<Vec<Finding>, Fault> {
+    let image = &captured.image;
+    let brightest = image.pixels.iter().flatten().fold(0.0f32, |m, v| m.max(*v));
+    let format = if brightest < half::f16::MAX.to_f32() { SampleFormat::F16 } else { SampleFormat::F32 };
+    let pose = Pose { position: Some(place.position), rotation: None };
+    let written = if mapping == Mapping::LatLong {
+        write_exr(&place.file, image, &pose, mapping, format)
+    } else {
+        let panorama = Panorama::new(image.width, image.height, image.pixels.clone(), image.distance.clone());
+        let size = if mapping == Mapping::AngularMap { image.width } else { image.width / 4 };
+        write_exr(&place.file, &from_lat_long(&panorama, mapping, size), &pose, mapping, format)
+    };
+    written.map_err(|error| match error {
+        gdibl_baker::Error::Io { path, source } => Fault::writing(&path, &source),
+        other => other.into(),
+    })
+}
+
+/// Probes for a bake that was given none.
+pub struct AutoCapture {
+    pub entries: Vec<ProbeEntry>,
+    /// What it cost; `None`: they were there already.
+    pub seconds: Option<f64>,
+}
+
+/// Captures probes into a folder beside the output, or finds them there from an earlier bake of the same level, light
+/// and settings. The folder's name is the hash of all these, so what lies in it is never out of date.
+pub fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<AutoCapture, Fault> {
+    let settings = capture_settings(config)?;
+    let parent = config.output.with_extension("captured");
+    let folder = parent.join(content_key(config, &settings)?);
+    if folder.is_dir() {
+        return Ok(AutoCapture { entries: entries_of(&folder)?, seconds: None });
+    }
+    let started = Instant::now();
+    let inputs = Inputs::read_level(config, TextureNeeds::All)?;
+    let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), path_settings(config)?);
+    let writing = |error: std::io::Error| Fault::writing(&parent, &error);
+    std::fs::create_dir_all(&parent).map_err(writing)?;
+    // Filled beside, then renamed: a folder that is there is whole.
+    let filling = tempfile::Builder::new().prefix(".filling-").tempdir_in(&parent).map_err(writing)?;
+    let flags = CaptureFlags { auto: Some(true), ..config.capture.clone() };
+    let places = places(&inputs.scene, &paths, &flags, filling.path());
+    if places.is_empty() {
+        return Err(Fault::Bound(format!(
+            "{}: found no place for a probe: every place tried stands in a solid or sees nothing; give --probes, or bake \
+             with --no-capture",
+            config.level.display()
+        )));
+    }
+    if let Err(fault) = capture_all(&paths, &places, Mapping::LatLong, &settings, cancel, quiet) {
+        drop(filling);
+        let _ = std::fs::remove_dir(&parent); // if it holds nothing else
+        return Err(fault);
+    }
+    // What earlier levels or settings left.
+    for entry in std::fs::read_dir(&parent).map_err(writing)?.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if name.len() == KEY_DIGITS && name.bytes().all(|b| b.is_ascii_hexdigit()) {
+            std::fs::remove_dir_all(entry.path()).map_err(writing)?;
+        }
+    }
+    std::fs::rename(filling.keep(), &folder).map_err(writing)?;
+    Ok(AutoCapture { entries: entries_of(&folder)?, seconds: Some(started.elapsed().as_secs_f64()) })
+}
+
+fn entries_of(folder: &Path) -> Result<Vec<ProbeEntry>, Fault> {
+    let images = images_of(folder)?;
+    Ok(images.into_iter().map(|image| ProbeEntry { image, ..ProbeEntry::default() }).collect())
+}
+
+/// Hexadecimal digits of a folder's name.
+const KEY_DIGITS: usize = 16;
+
+/// A hash of all that captured probes depend on.
+fn content_key(config: &Config, settings: &CaptureSettings) -> Result<String, Fault> {
+    let mut hasher = blake3::Hasher::new();
+    // Each part with its length, so that no two lists of parts look alike.
+    let mut part = |bytes: &[u8]| {
+        hasher.update(&(bytes.len() as u64).to_le_bytes());
+        hasher.update(bytes);
+    };
+    part(concat!("gdibl ", env!("CARGO_PKG_VERSION")).as_bytes());
+    for level in std::iter::once(&config.level).chain(&config.environment) {
+        for file in read_files(level)? {
+            part(&file);
+        }
+    }
+    if let Some(distant) = &config.distant {
+        part(&std::fs::read(&distant.image).map_err(|error| Fault::reading(&distant.image, &error))?);
+        part(format!("{:?} {:?} {:?}", distant.rotation, distant.exposure_stops, distant.mapping).as_bytes());
+    }
+    let flags = &config.capture;
+    part(format!("{settings:?} {:?} {:?} {:?}", path_settings(config)?, flags.positions, flags.most).as_bytes());
+    part(format!("{:?}", config.quality.repair_pixels).as_bytes());
+    Ok(hasher.finalize().to_hex()[..KEY_DIGITS].to_string())
+}
+
+/// A line for a person on stderr.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "gdibl: {line}");
+}

@@ -1,0 +1,229 @@
+//! `gdibl capture`: light probes from the level itself.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use gdibl_baker::Finding;
+use gdibl_baker::import::gltf::TextureNeeds;
+use gdibl_baker::panorama::Mapping;
+use gdibl_baker::radiance::path::{Path as Paths, specular_left_out};
+use glam::DVec3;
+use serde::Serialize;
+
+use crate::captures::{Outcome, Place, capture_all, capture_settings, path_settings, places, say};
+use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, set_threads};
+use crate::fault::Fault;
+use crate::inputs::Inputs;
+use crate::progress::cancel_on_interrupt;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// LEVEL.glb, LEVEL.gltf or BAKE.toml
+    input: PathBuf,
+    /// Folder for the probes [default: beside the input, ending in .probes; probes that the level marks
+    /// (extras.gdibl_probe) go where it names them]
+    #[arg(short, long, value_name = "FOLDER")]
+    output: Option<PathBuf>,
+    /// Panorama at infinity: the sky, the street outside
+    #[arg(long, value_name = "IMAGE")]
+    distant: Option<PathBuf>,
+    #[command(flatten)]
+    capture: CaptureFlags,
+    /// Layout of the images: lat-long, angular, cube-exr, cube-strip, cube-cross-horizontal, cube-cross-vertical …
+    #[arg(long, value_name = "NAME", default_value = "lat-long", value_parser = parse_mapping)]
+    mapping: Mapping,
+    /// Surfaces that light may leave on its way: 1 is direct light [default: 64, with roulette]
+    #[arg(long, value_name = "N")]
+    bounces: Option<u32>,
+    /// Cut every path's radiance off at this, and say how much light that took [default: off]
+    #[arg(long, value_name = "L")]
+    clamp: Option<f32>,
+    /// Replace NaN, infinite and negative pixels of the distant panorama instead of refusing it
+    #[arg(long)]
+    repair_pixels: bool,
+    /// Same seed, same bytes [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Worker threads; the result does not depend on it [default: all]
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    /// No progress bar
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    probes: Vec<ProbeReport>,
+    wall_seconds: f64,
+    cpu_seconds: f64,
+    findings: Vec<Finding>,
+}
+
+#[derive(Serialize)]
+struct ProbeReport {
+    file: String,
+    position: [f64; 3],
+    size: [usize; 2],
+    /// Root mean square over pixels.
+    relative_error: Option<f64>,
+    samples: u64,
+    rays: u64,
+    /// Share of light that --clamp took.
+    clamped: f64,
+    seconds: f64,
+}
+
+fn parse_mapping(text: &str) -> Result<Mapping, String> {
+    Mapping::parse(text).ok_or_else(|| format!("expected one of {}", Mapping::ALL.map(Mapping::name).join(", ")))
+}
+
+pub fn run(arguments: Arguments) -> Result<(), Fault> {
+    let started = Instant::now();
+    let cancel = cancel_on_interrupt();
+    let files = FileFlags {
+        input: arguments.input.clone(),
+        output: None,
+        probes: Vec::new(),
+        distant: arguments.distant,
+        environment: None,
+    };
+    let quality = QualityFlags {
+        bounces: arguments.bounces,
+        clamp: arguments.clamp,
+        seed: arguments.seed,
+        threads: arguments.threads,
+        repair_pixels: arguments.repair_pixels.then_some(true),
+        ..QualityFlags::default()
+    };
+    let config = Config::new(files, GridFlags::default(), quality, arguments.capture)?;
+    set_threads(config.quality.threads)?;
+    let settings = capture_settings(&config)?;
+
+    let mut inputs = Inputs::read_level(&config, TextureNeeds::All)?;
+    inputs.findings.extend(specular_left_out(&inputs.scene));
+    inputs.warn();
+    if !inputs.has_light() {
+        return Err(Fault::Bound(format!(
+            "{}: nothing gives light: no emissive material, no light, no distant panorama; give --distant",
+            config.level.display()
+        )));
+    }
+    let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config)?);
+    let folder = arguments.output.clone();
+    let places = choose_places(&inputs, &paths, &config, folder.as_deref(), &arguments.input)?;
+    for folder in places.iter().filter_map(|place| place.file.parent()) {
+        std::fs::create_dir_all(folder).map_err(|error| Fault::writing(folder, &error))?;
+    }
+    let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &cancel, arguments.quiet)?;
+
+    let mut findings = inputs.findings;
+    findings.extend(outcomes.iter().flat_map(|outcome| outcome.findings.iter().cloned()));
+    let report = Report {
+        probes: outcomes.iter().map(|outcome| probe_report(outcome, settings.width)).collect(),
+        wall_seconds: started.elapsed().as_secs_f64(),
+        cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
+        findings,
+    };
+    if arguments.json {
+        super::print_json(&report)?
+    } else {
+        print(&report)?
+    }
+    let missed: u64 = outcomes.iter().map(|outcome| outcome.captured.missed).sum();
+    match settings.target_error {
+        Some(target) if missed > 0 => Err(Fault::Bound(format!(
+            "{missed} pixels missed the target error of {} % within {} paths; the probes were written",
+            target * 100.0,
+            settings.samples
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// By --position, by --auto, or where the level marks them.
+fn choose_places(
+    inputs: &Inputs,
+    paths: &Paths,
+    config: &Config,
+    folder: Option<&Path>,
+    input: &Path,
+) -> Result<Vec<Place>, Fault> {
+    let default_folder = input.with_extension("probes");
+    if !config.capture.positions.is_empty() || config.capture.auto == Some(true) {
+        let places = places(&inputs.scene, paths, &config.capture, folder.unwrap_or(&default_folder));
+        if places.is_empty() {
+            return Err(Fault::Bound(format!(
+                "{}: --auto found no place for a probe: every place tried stands in a solid or sees nothing; give \
+                 --position",
+                config.level.display()
+            )));
+        }
+        return Ok(places);
+    }
+    if inputs.scene.probe_markers.is_empty() {
+        return Err(Fault::Usage(format!(
+            "{}: where? Give --position X,Y,Z (repeatable) or --auto, or mark nodes of the level with extras.gdibl_probe \
+             = \"FILE.exr\"",
+            input.display()
+        )));
+    }
+    if inputs.scene.probe_markers.iter().any(|marker| marker.rotation.angle_between(glam::DQuat::IDENTITY) > 1e-3) {
+        say(
+            "marked probes that are turned are captured in the world's axes: bake them with --probes, or turn their nodes back",
+        );
+    }
+    Ok(inputs
+        .scene
+        .probe_markers
+        .iter()
+        .map(|marker| place_of_marker(marker.position, &marker.image, folder))
+        .collect())
+}
+
+fn place_of_marker(position: DVec3, image: &Path, folder: Option<&Path>) -> Place {
+    let file = match (folder, image.file_name()) {
+        (Some(folder), Some(name)) => folder.join(name),
+        _ => image.to_path_buf(),
+    };
+    Place { position, file }
+}
+
+fn probe_report(outcome: &Outcome, width: usize) -> ProbeReport {
+    let captured = &outcome.captured;
+    ProbeReport {
+        file: outcome.place.file.display().to_string(),
+        position: outcome.place.position.into(),
+        size: [width, width / 2],
+        relative_error: Some(captured.relative_error).filter(|e| e.is_finite()),
+        samples: captured.samples,
+        rays: captured.rays,
+        clamped: captured.clamped,
+        seconds: outcome.seconds,
+    }
+}
+
+fn print(report: &Report) -> Result<(), Fault> {
+    for probe in &report.probes {
+        let [x, y, z] = probe.position;
+        let error = probe.relative_error.map_or("unknown".into(), |e| format!("{:.1} %", e * 100.0));
+        let clamped = if probe.clamped > 0.0 {
+            format!(", {:.2} % of the light clamped away", probe.clamped * 100.0)
+        } else {
+            String::new()
+        };
+        super::print_line(&format!(
+            "{}  at {x:.3} {y:.3} {z:.3}, {} x {}, standard error of a pixel {error}{clamped}, {:.1} M rays in {:.1} s",
+            probe.file,
+            probe.size[0],
+            probe.size[1],
+            probe.rays as f64 / 1e6,
+            probe.seconds
+        ))?;
+    }
+    Ok(())
+}

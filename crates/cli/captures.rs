@@ -56,6 +56,7 @@ pub fn capture_settings(config: &Config) -> Result<CaptureSettings, Fault> {
         target_error: flags.target_error,
         seed: config.quality.seed.unwrap_or(defaults.seed),
         clamp: crate::config::clamp(&config.quality)?,
+        emission: true,
     })
 }
 
@@ -70,7 +71,12 @@ pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path)
         let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
         let settings =
             PlaceSettings { most: flags.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
-        bounds.map_or_else(Vec::new, |bounds| place_probes(paths, bounds, &settings).positions)
+        let placement = bounds.map(|bounds| place_probes(paths, bounds, &settings)).unwrap_or_default();
+        if let Some(coverage) = placement.coverage.last() {
+            let share = coverage * 100.0;
+            say(&format!("{} probes see {share:.1} % of what the free space sees", placement.positions.len()));
+        }
+        placement.positions
     } else {
         flags.positions.iter().map(|p| DVec3::from(*p)).collect()
     };
@@ -132,7 +138,8 @@ pub struct AutoCapture {
 /// Captures probes into a folder beside the output, or finds them there from an earlier bake of the same level, light
 /// and settings. The folder's name is the hash of all these, so what lies in it is never out of date.
 pub fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<AutoCapture, Fault> {
-    let settings = capture_settings(config)?;
+    // Reflected light alone: the bake takes emission from the level's materials.
+    let settings = CaptureSettings { emission: false, ..capture_settings(config)? };
     let parent = config.output.with_extension("captured");
     let folder = parent.join(content_key(config, &settings)?);
     if folder.is_dir() {

@@ -110,7 +110,7 @@ pub struct CaptureFlags {
     /// Pixels around the horizon [default: 256]
     #[arg(long, value_name = "PIXELS")]
     pub width: Option<usize>,
-    /// Paths per pixel; with --target-error the most a pixel may take [default: 256; with a target 65536]
+    /// Paths per pixel; with --target-error the most a pixel may take [default: 64; with a target 65536]
     #[arg(long, value_name = "N")]
     pub samples: Option<u32>,
     /// Sample each pixel until its relative standard error is at most this (0.01 is 1 %)
@@ -326,6 +326,13 @@ pub fn path_settings(quality: &QualityFlags) -> Result<PathSettings, Fault> {
         return Err(Fault::Usage(format!("--bounces {bounces}: expected at most {}", PathSettings::MAX_BOUNCES)));
     }
     Ok(PathSettings { bounces, ..PathSettings::default() })
+}
+
+impl Config {
+    /// Neither flags nor BAKE.toml name a probe; the level's nodes may.
+    pub fn names_no_probe(&self) -> bool {
+        self.probes.is_empty() && self.placed_probes.is_empty()
+    }
 }
 
 impl BakeFile {

@@ -6,7 +6,7 @@ use std::time::Instant;
 use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::plan::{self, PlanRow};
-use gdibl_baker::radiance::RadianceFunction;
+use gdibl_baker::radiance::{Distant, RadianceFunction};
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
 use gdibl_baker::radiance::path::{Path, specular_left_out};
 use gdibl_baker::records::{ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
@@ -75,7 +75,11 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let method = config.quality.method.unwrap_or_default();
 
     // Everything is read and refused before the first ray.
-    let textures = if method == Method::Path { TextureNeeds::All } else { TextureNeeds::Gdibl };
+    let textures = match method {
+        Method::Path => TextureNeeds::All,
+        Method::Gdibl if !arguments.no_capture && config.names_no_probe() => TextureNeeds::Captured,
+        Method::Gdibl => TextureNeeds::Gdibl,
+    };
     let mut inputs = Inputs::read(&config, textures)?;
     if method == Method::Path {
         inputs.findings.extend(specular_left_out(&inputs.scene));
@@ -100,6 +104,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let gdibl = GdiblSettings {
                 blend: config.quality.blend.unwrap_or_default(),
                 scene_hit: config.quality.scene.unwrap_or_default(),
+                emission_from_materials: captures,
                 seed: settings.seed,
             };
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
@@ -215,6 +220,8 @@ impl Job<'_> {
             )));
         }
         inputs.findings.extend(specular_left_out(&inputs.scene));
+        // The level's own light is all there is: what escapes meets nothing, which is not the same as unknown.
+        inputs.distant.get_or_insert_with(Distant::black);
         // The same whether they were there already: same inputs, same bytes.
         let why = format!("no probe is given: {count} captured from the level");
         Ok(PlanRow::new("capture", true, why))

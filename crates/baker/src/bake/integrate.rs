@@ -16,7 +16,7 @@ use std::f64::consts::PI;
 
 use super::directions::DirectionMap;
 use crate::Interrupted;
-use crate::radiance::{PathContext, Radiance};
+use crate::radiance::{PathContext, Radiance, SOLID_BACKS};
 use crate::sampling::{Sampler, Stream, fibonacci_sphere};
 
 /// Independent scrambles per node. 16: the standard error is itself known to 18 %.
@@ -41,6 +41,15 @@ pub struct NodeEstimate {
     pub coverage: f64,
     /// What clamping took: ∫ L dω, summed over R, G and B.
     pub clamped: f64,
+    /// Share of the samples that first met the back of a triangle, 0..=1.
+    pub backs: f64,
+}
+
+impl NodeEstimate {
+    /// No light, and backs around.
+    pub fn is_in_solid(&self) -> bool {
+        self.rms_irradiance == 0.0 && self.backs > SOLID_BACKS
+    }
 }
 
 /// Names the random points of one node.
@@ -145,6 +154,9 @@ impl Integrator {
                 for sample in range {
                     context.sample = sample;
                     let (direction, weight) = propose(context.point(0));
+                    if weight == 0.0 {
+                        continue;
+                    }
                     let mut arriving = radiance(direction, &mut context).ok_or(Interrupted)?;
                     if arriving.value.max_element() > self.clamp {
                         let kept = arriving.value * (self.clamp / arriving.value.max_element());
@@ -163,7 +175,8 @@ impl Integrator {
                 }
             }
             done = target;
-            estimate = Some(self.estimate(sequence, &propose, known, done));
+            let backs = context.backs as f64 / done as f64;
+            estimate = Some(NodeEstimate { backs, ..self.estimate(sequence, &propose, known, done) });
         }
     }
 
@@ -246,6 +259,7 @@ impl Integrator {
                 f64::INFINITY
             },
             rms_irradiance: (square / values).sqrt(),
+            backs: 0.0,
             clamped: self.clamped * 4.0 * PI / samples as f64,
             coverage: if any_covered { share_covered.clamp(f64::MIN_POSITIVE, 1.0) } else { 0.0 },
         }

@@ -66,7 +66,7 @@ pub struct Baked {
     pub bands: u32,
     /// Radiance coefficients, `[node][coefficient][rgb]` flat.
     pub sh: Vec<f32>,
-    /// False: no direction was covered; the coefficients come from neighbours.
+    /// False: no direction was covered, or the node is in a solid; the coefficients come from neighbours.
     pub valid: Vec<bool>,
     /// Share of the sphere that was covered, 0..=1.
     pub coverage: Vec<f32>,
@@ -187,7 +187,7 @@ impl From<&NodeEstimate> for Summary {
         Summary {
             standard_error: e.standard_error,
             rms_irradiance: e.rms_irradiance,
-            coverage: e.coverage,
+            coverage: if e.is_in_solid() { 0.0 } else { e.coverage },
             clamped: e.clamped,
             kept: e.sh[0].iter().sum::<f64>() * (4.0 * std::f64::consts::PI).sqrt(),
         }

@@ -8,9 +8,9 @@
 use glam::{DVec3, UVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::radiance::RadianceFunction;
+use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
 use crate::radiance::path::Path;
-use crate::sampling::fibonacci_sphere;
+use crate::sampling::{Sampler, Stream, fibonacci_sphere};
 use crate::trace::Hit;
 
 /// How probes are placed.
@@ -24,12 +24,12 @@ pub struct PlaceSettings {
 
 impl Default for PlaceSettings {
     fn default() -> Self {
-        PlaceSettings { most: 16, gain: 0.02 }
+        PlaceSettings { most: 32, gain: 0.005 }
     }
 }
 
 /// Where probes should stand.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Placement {
     /// World metres, the most useful first. Empty where there is nothing to see.
     pub positions: Vec<DVec3>,
@@ -37,8 +37,9 @@ pub struct Placement {
     pub coverage: Vec<f64>,
 }
 
-/// Places that are tried, about.
-const CANDIDATES: f64 = 1000.0;
+/// Candidates wanted, about, and places tried for them at most: of a level with much rock or much sky few are free.
+const CANDIDATES: usize = 1000;
+const MOST_PLACES: usize = 16_000;
 /// Directions in which a candidate looks around.
 const VIEWS: usize = 256;
 /// Surface points against which candidates are weighed, about.
@@ -51,12 +52,14 @@ const WELL_RESOLVED: f32 = 0.2;
 
 /// Places probes for what `path` traces.
 pub fn place_probes(path: &Path, bounds: (DVec3, DVec3), settings: &PlaceSettings) -> Placement {
-    let mut placement = Placement { positions: Vec::new(), coverage: Vec::new() };
+    let mut placement = Placement::default();
     let directions = fibonacci_sphere(VIEWS);
-    let candidates: Vec<Candidate> = lattice(bounds)
-        .into_par_iter()
-        .filter_map(|position| Candidate::look_around(path, path.frame().to_trace(position), &directions))
-        .collect();
+    let mut places = CANDIDATES;
+    let mut candidates = look_around(path, &lattice(bounds, places), &directions);
+    while candidates.len() < CANDIDATES / 2 && !candidates.is_empty() && places < MOST_PLACES {
+        places = (places * CANDIDATES / candidates.len()).min(MOST_PLACES);
+        candidates = look_around(path, &lattice(bounds, places), &directions);
+    }
     let seen: usize = candidates.iter().map(|candidate| candidate.hits.len()).sum();
     // Every so-manieth hit, so that every part of the view keeps its weight.
     let points: Vec<Hit> =
@@ -87,10 +90,18 @@ pub fn place_probes(path: &Path, bounds: (DVec3, DVec3), settings: &PlaceSetting
     placement
 }
 
-/// About [`CANDIDATES`] places: the middles of like cells that fill the box.
-fn lattice((min, max): (DVec3, DVec3)) -> Vec<DVec3> {
+/// Those of the places that are not in solids.
+fn look_around(path: &Path, places: &[DVec3], directions: &[Vec3]) -> Vec<Candidate> {
+    let look = |(index, place): (usize, &DVec3)| {
+        Candidate::look_around(path, path.frame().to_trace(*place), directions, index as u64)
+    };
+    places.par_iter().enumerate().filter_map(look).collect()
+}
+
+/// About `places` places: the middles of like cells that fill the box.
+fn lattice((min, max): (DVec3, DVec3), places: usize) -> Vec<DVec3> {
     let size = (max - min).max(DVec3::splat(1e-3 * (max - min).max_element()));
-    let spacing = (size.element_product() / CANDIDATES).cbrt();
+    let spacing = (size.element_product() / places as f64).cbrt();
     let counts = (size / spacing).round().max(DVec3::ONE).as_uvec3();
     let cell = (max - min) / counts.as_dvec3();
     let place = |x, y, z| min + (UVec3::new(x, y, z).as_dvec3() + 0.5) * cell;
@@ -108,22 +119,40 @@ struct Candidate {
 
 impl Candidate {
     /// `None` in a solid.
-    fn look_around(path: &Path, position: Vec3, directions: &[Vec3]) -> Option<Candidate> {
+    fn look_around(path: &Path, position: Vec3, directions: &[Vec3], index: u64) -> Option<Candidate> {
         let hits: Vec<Hit> = directions.iter().filter_map(|direction| path.surface(position, *direction)).collect();
         let backs = hits.iter().filter(|hit| path.is_inside(hit)).count();
-        (backs as f64 <= MOST_BACKS * directions.len() as f64).then_some(Candidate { position, hits })
+        let free = backs as f64 <= MOST_BACKS * directions.len() as f64;
+        (free && !is_dark_solid(path, position, directions, index)).then_some(Candidate { position, hits })
     }
 
-    /// How finely a probe here resolves a surface point, 1 at `enough` straight ahead and nearer, 0 where it does
-    /// not see it: its pixels per unit of surface, cosθ/d².
+    /// What a surface point gains by a probe here: 0 where it does not see it, a half where it barely does, 1 where it
+    /// resolves it well. Resolution is pixels per unit of surface, cosθ/d², against those at `enough` straight ahead; its
+    /// fourth root, because a wall seen at a tenth of the resolution is not ten times as bad.
     fn quality(&self, path: &Path, point: &Hit, enough: f32) -> f32 {
         let line = self.position - point.position;
         let squared = line.length_squared();
-        let cosine = line.dot(point.normal) / squared.sqrt();
-        let quality = (cosine * enough * enough / squared).min(1.0);
-        if quality > 0.0 && path.sees(point, self.position) { quality } else { 0.0 }
+        let resolution = line.dot(point.normal) / squared.sqrt() * enough * enough / squared;
+        if resolution > 0.0 && path.sees(point, self.position) {
+            0.5 + 0.5 * resolution.min(1.0).sqrt().sqrt()
+        } else {
+            0.0
+        }
     }
 }
+
+/// No light, and backs around, single-sided or not.
+fn is_dark_solid(path: &Path, position: Vec3, directions: &[Vec3], index: u64) -> bool {
+    let mut context = PathContext::new(Stream::new(Sampler::Sobol, 0, PLACE_STREAMS | index, 0));
+    let lit = directions.iter().zip(0..).any(|(direction, sample)| {
+        context.sample = sample;
+        path.radiance(position, *direction, &mut context).value != Vec3::ZERO
+    });
+    !lit && context.backs as f64 > SOLID_BACKS * directions.len() as f64
+}
+
+/// Streams of candidates stand apart from those of nodes and probes.
+const PLACE_STREAMS: u64 = 3 << 61;
 
 #[cfg(test)]
 mod tests {
@@ -131,11 +160,11 @@ mod tests {
 
     #[test]
     fn lattice_fills_the_box_with_like_cells() {
-        let places = lattice((DVec3::ZERO, DVec3::new(10.0, 10.0, 10.0)));
+        let places = lattice((DVec3::ZERO, DVec3::new(10.0, 10.0, 10.0)), 1000);
         assert_eq!(places.len(), 1000);
         assert_eq!(places[0], DVec3::splat(0.5));
-        let flat = lattice((DVec3::ZERO, DVec3::new(10.0, 0.0, 10.0)));
+        let flat = lattice((DVec3::ZERO, DVec3::new(10.0, 0.0, 10.0)), 1000);
         assert!(flat.len() > 500 && flat.iter().all(|p| p.y == 0.0), "{}", flat.len());
-        assert_eq!(lattice((DVec3::ONE, DVec3::ONE)), [DVec3::ONE]);
+        assert_eq!(lattice((DVec3::ONE, DVec3::ONE), 1000), [DVec3::ONE]);
     }
 }

@@ -1,7 +1,8 @@
 //! Emissive triangles as lights: which, how strong, and points on them.
 //!
-//! A triangle is drawn by its power (area × mean emitted radiance), a point on it uniformly. Based on: Pharr, Jakob,
-//! Humphreys, "Physically Based Rendering", 4th ed., 2023, §12.6 (power light sampler) and §6.5.4. Only what is
+//! A triangle is drawn by about what it gives to the point that is to be lit, down a tree of groups; a point on it
+//! uniformly. Based on: Pharr, Jakob, Humphreys, "Physically Based Rendering", 4th ed., 2023, §12.6.3. By power alone, a
+//! game map with 645 lamps had 32 % error at 16 384 directions per node. Only what is
 //! brighter than [`BRIGHT`] times the level's mean is drawn: a level that glows all over (unlit materials) is found by
 //! any ray, and its whole geometry as a list of lights would cost more than it saves.
 
@@ -21,17 +22,47 @@ struct Emitter {
     corners: [Vec3; 3],
     /// Index into the surfaces it was found in.
     triangle: u32,
-    /// Probability of the triangle over its area, per square trace unit.
-    density: f32,
+    /// Square trace units.
+    area: f32,
+    /// Mean over the triangle and over R, G, B.
+    radiance: f32,
+    double_sided: bool,
 }
 
-/// The emissive triangles of some surfaces.
+/// The emissive triangles of some surfaces, in a tree by which one is drawn for a point that is to be lit.
 #[derive(Debug)]
 pub(super) struct Emitters {
     emitters: Vec<Emitter>,
-    /// `cumulative[i]`: share of the power of the emitters up to `i`; the last is 1.
-    cumulative: Vec<f64>,
+    branches: Vec<Branch>,
+    /// `leaf[i]`: the branch that holds emitter i alone.
+    leaf: Vec<u32>,
     tree: Tree,
+}
+
+/// A group of emitters.
+#[derive(Debug, Clone, Copy)]
+struct Branch {
+    min: Vec3,
+    max: Vec3,
+    /// Radiance × area, summed.
+    power: f32,
+    /// All normals lie within `spread` of `axis`.
+    axis: Vec3,
+    spread: Angle,
+    double_sided: bool,
+    /// Of two children the first, the other follows; of a leaf the emitter.
+    first: u32,
+    is_leaf: bool,
+    /// Itself at the root.
+    parent: u32,
+}
+
+/// Who is to be lit: a node from all sides, a surface on the side of its normal.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Receiver {
+    /// Trace space.
+    pub position: Vec3,
+    pub normal: Option<Vec3>,
 }
 
 /// A point that was drawn.
@@ -47,6 +78,7 @@ pub(super) struct EmitterPoint {
     pub barycentric: Vec2,
     /// Probability density per square trace unit.
     pub density: f32,
+    emitter: u32,
 }
 
 impl Emitters {
@@ -58,34 +90,30 @@ impl Emitters {
         for surfaces in all {
             for triangle in 0..surfaces.len() as u32 {
                 let corners = *surfaces.corners(triangle);
-                let own_area = f64::from(area_of(&corners));
-                area += own_area;
-                if surfaces.material(scene, triangle).emission == Vec3::ZERO {
+                let own_area = area_of(&corners);
+                area += f64::from(own_area);
+                let material = surfaces.material(scene, triangle);
+                if material.emission == Vec3::ZERO {
                     continue;
                 }
                 let radiance = mean_emission(scene, surfaces, triangle);
-                power += own_area * f64::from(radiance);
-                glowing.push((corners, triangle, radiance, own_area));
+                power += f64::from(own_area * radiance);
+                let double_sided = material.double_sided;
+                glowing.push(Emitter { corners, triangle, area: own_area, radiance, double_sided });
             }
         }
-        let limit = f64::from(BRIGHT) * power / area;
-        glowing.retain(|&(_, _, radiance, area)| f64::from(radiance) > limit && area > 0.0);
-        let total: f64 = glowing.iter().map(|&(_, _, radiance, area)| f64::from(radiance) * area).sum();
-        if !(total > 0.0 && total.is_finite()) {
+        let limit = (f64::from(BRIGHT) * power / area) as f32;
+        glowing.retain(|emitter| emitter.radiance > limit && emitter.area > 0.0);
+        if glowing.is_empty() || !power.is_finite() {
             return None;
         }
-        let mut sum = 0.0;
-        let mut cumulative = Vec::with_capacity(glowing.len());
-        let emitters: Vec<Emitter> = glowing
-            .into_iter()
-            .map(|(corners, triangle, radiance, area)| {
-                sum += f64::from(radiance) * area;
-                cumulative.push(sum / total);
-                Emitter { corners, triangle, density: (f64::from(radiance) / total) as f32 }
-            })
-            .collect();
-        let corners: Vec<[Vec3; 3]> = emitters.iter().map(|e| e.corners).collect();
-        Some(Emitters { tree: Tree::build(&corners), emitters, cumulative })
+        let corners: Vec<[Vec3; 3]> = glowing.iter().map(|e| e.corners).collect();
+        let leaf = vec![0; glowing.len()];
+        let mut emitters = Emitters { tree: Tree::build(&corners), branches: Vec::new(), leaf, emitters: glowing };
+        let mut order: Vec<u32> = (0..corners.len() as u32).collect();
+        emitters.branches.push(emitters.branch_of(&order, 0));
+        emitters.split(0, &mut order);
+        Some(emitters)
     }
 
     /// How many.
@@ -93,50 +121,132 @@ impl Emitters {
         self.emitters.len()
     }
 
-    /// Per triangle of the surfaces (there must be one set): the probability per square trace unit with which
-    /// [`Emitters::draw`] returns a point of it; 0 where it never does.
-    pub fn densities(&self, surfaces: &Surfaces) -> Vec<f32> {
-        let mut densities = vec![0.0; surfaces.len()];
-        for emitter in &self.emitters {
-            densities[emitter.triangle as usize] = emitter.density;
+    /// `[i]`: number of the emitter that triangle i of the surfaces (there must be one set) is, or `u32::MAX`.
+    pub fn numbers(&self, surfaces: &Surfaces) -> Vec<u32> {
+        let mut numbers = vec![u32::MAX; surfaces.len()];
+        for (number, emitter) in self.emitters.iter().enumerate() {
+            numbers[emitter.triangle as usize] = number as u32;
         }
-        densities
+        numbers
     }
 
-    /// A point for a point of the unit square.
-    pub fn draw(&self, [first, second]: [f32; 2]) -> EmitterPoint {
-        self.draw_indexed([first, second]).1
+    fn branch_of(&self, members: &[u32], parent: u32) -> Branch {
+        let members = members.iter().map(|&m| &self.emitters[m as usize]);
+        let mut branch = Branch {
+            min: Vec3::INFINITY,
+            max: Vec3::NEG_INFINITY,
+            power: 0.0,
+            axis: Vec3::ZERO,
+            spread: Angle { sine: 0.0, cosine: 1.0 },
+            double_sided: false,
+            first: 0,
+            is_leaf: false,
+            parent,
+        };
+        for emitter in members.clone() {
+            for corner in emitter.corners {
+                (branch.min, branch.max) = (branch.min.min(corner), branch.max.max(corner));
+            }
+            branch.power += emitter.radiance * emitter.area;
+            branch.axis += emitter.normal();
+            branch.double_sided |= emitter.double_sided;
+        }
+        branch.axis = branch.axis.normalize_or(Vec3::Y);
+        let widest = members.map(|emitter| emitter.normal().dot(branch.axis)).fold(1.0, f32::min);
+        branch.spread = Angle::of_cosine(widest);
+        branch
     }
 
-    fn draw_indexed(&self, [first, second]: [f32; 2]) -> (usize, EmitterPoint) {
-        // The triangle; what is left of the number goes on.
-        let first = f64::from(first);
-        let index = self.cumulative.partition_point(|&c| c <= first).min(self.emitters.len() - 1);
-        let start = if index == 0 { 0.0 } else { self.cumulative[index - 1] };
-        let first = ((first - start) / (self.cumulative[index] - start)).clamp(0.0, 1.0) as f32;
+    /// Halves the members along the longest side of their middles' box until each stands alone.
+    fn split(&mut self, root: u32, order: &mut [u32]) {
+        let mut open = vec![(root, 0, order.len())];
+        while let Some((at, start, end)) = open.pop() {
+            let members = &mut order[start..end];
+            if let [only] = members {
+                (self.branches[at as usize].first, self.branches[at as usize].is_leaf) = (*only, true);
+                self.leaf[*only as usize] = at;
+                continue;
+            }
+            let middle = |m: u32| self.emitters[m as usize].corners.iter().sum::<Vec3>();
+            let (min, max) = members
+                .iter()
+                .map(|&m| middle(m))
+                .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), p| (min.min(p), max.max(p)));
+            let axis = (max - min).max_position();
+            members.sort_unstable_by(|&a, &b| middle(a)[axis].total_cmp(&middle(b)[axis]).then(a.cmp(&b)));
+            let half = start + members.len() / 2;
+            let first = self.branches.len() as u32;
+            self.branches[at as usize].first = first;
+            for (start, end) in [(start, half), (half, end)] {
+                let branch = self.branch_of(&order[start..end], at);
+                open.push((self.branches.len() as u32, start, end));
+                self.branches.push(branch);
+            }
+        }
+    }
+
+    /// Probability of the first child of a branch; `None` where neither can light the receiver.
+    fn first_share(&self, branch: &Branch, receiver: &Receiver) -> Option<f32> {
+        let [a, b] = [0, 1].map(|i| self.branches[branch.first as usize + i].importance(receiver));
+        (a + b > 0.0).then(|| a / (a + b))
+    }
+
+    /// A point for a point of the unit square; `None` where no emitter can light the receiver.
+    pub fn draw(&self, receiver: &Receiver, [first, second]: [f32; 2]) -> Option<EmitterPoint> {
+        let (mut left, mut probability) = (f64::from(first), 1.0);
+        let mut branch = &self.branches[0];
+        if branch.importance(receiver) <= 0.0 {
+            return None;
+        }
+        while !branch.is_leaf {
+            // What is left of the number goes on.
+            let share = self.first_share(branch, receiver)?;
+            let second = left >= f64::from(share);
+            let own = if second { 1.0 - share } else { share };
+            left = ((left - if second { f64::from(share) } else { 0.0 }) / f64::from(own)).clamp(0.0, 1.0);
+            probability *= own;
+            branch = &self.branches[branch.first as usize + usize::from(second)];
+        }
         // Uniform over a triangle: (1 - √ξ1, ξ2 √ξ1) (Turk, "Generating Random Points in Triangles", 1990).
-        let root = first.sqrt();
+        let root = (left as f32).sqrt();
         let barycentric = Vec2::new(1.0 - root, second * root);
-        let emitter = &self.emitters[index];
+        let emitter = &self.emitters[branch.first as usize];
         let [a, b, c] = emitter.corners;
-        let point = EmitterPoint {
+        Some(EmitterPoint {
             position: a * (1.0 - barycentric.x - barycentric.y) + b * barycentric.x + c * barycentric.y,
-            normal: normal_of(&emitter.corners),
+            normal: emitter.normal(),
             triangle: emitter.triangle,
             barycentric,
-            density: emitter.density,
-        };
-        (index, point)
+            density: probability / emitter.area,
+            emitter: branch.first,
+        })
     }
 
-    /// A direction from `origin` toward an emitter, and the density per steradian of all that lie along it, hidden ones
-    /// too.
-    pub fn sample_direction(&self, origin: Vec3, point: [f32; 2]) -> (Vec3, f32) {
-        let (index, drawn) = self.draw_indexed(point);
-        let Some(direction) = (drawn.position - origin).try_normalize() else { return (drawn.normal, 0.0) };
+    /// Density per square trace unit with which [`Emitters::draw`] returns a point of an emitter.
+    pub fn density_on(&self, number: u32, receiver: &Receiver) -> f32 {
+        let mut at = self.leaf[number as usize];
+        let mut density = 1.0 / self.emitters[number as usize].area;
+        if self.branches[0].importance(receiver) <= 0.0 {
+            return 0.0;
+        }
+        while at != 0 {
+            let parent = self.branches[at as usize].parent;
+            let branch = &self.branches[parent as usize];
+            let Some(share) = self.first_share(branch, receiver) else { return 0.0 };
+            density *= if at == branch.first { share } else { 1.0 - share };
+            at = parent;
+        }
+        density
+    }
+
+    /// A direction toward an emitter, and the density per steradian of all that lie along it, hidden ones too; `None`
+    /// where no emitter can light `origin`.
+    pub fn sample_direction(&self, origin: Vec3, point: [f32; 2]) -> Option<(Vec3, f32)> {
+        let drawn = self.draw(&Receiver { position: origin, normal: None }, point)?;
+        let direction = (drawn.position - origin).try_normalize()?;
         // Its own share is computed, not traced: a point on its edge may be missed by rounding.
         let own = solid_angle_density(drawn.density, drawn.position - origin, drawn.normal);
-        (direction, own + self.direction_density(origin, direction, Some(index as u32)))
+        Some((direction, own + self.direction_density(origin, direction, Some(drawn.emitter))))
     }
 
     /// Density per steradian with which [`Emitters::sample_direction`] returns `direction`.
@@ -145,15 +255,87 @@ impl Emitters {
     }
 
     fn direction_density(&self, origin: Vec3, direction: Vec3, except: Option<u32>) -> f32 {
+        let receiver = Receiver { position: origin, normal: None };
         let mut sum = 0.0;
         self.tree.any(origin, direction, 0.0, f32::INFINITY, |hit| {
             if Some(hit.triangle) != except {
-                let emitter = &self.emitters[hit.triangle as usize];
-                sum += solid_angle_density(emitter.density, direction * hit.t, normal_of(&emitter.corners));
+                let normal = self.emitters[hit.triangle as usize].normal();
+                let density = self.density_on(hit.triangle, &receiver);
+                sum += solid_angle_density(density, direction * hit.t, normal);
             }
             true
         });
         sum
+    }
+}
+
+impl Branch {
+    /// About how much light the group gives to the receiver, unhidden; 0 only where it gives none for sure.
+    ///
+    /// power · cosθ' · cosθ_i' / d², each cosine the largest that any point of the box and any normal of the cone could
+    /// have. Based on: Conty Estevez, Kulla, "Importance Sampling of Many Lights with Adaptive Tree Splitting", 2018.
+    fn importance(&self, receiver: &Receiver) -> f32 {
+        let line = 0.5 * (self.min + self.max) - receiver.position;
+        let radius = 0.5 * (self.max - self.min).length();
+        let distance = line.length();
+        let mut importance = self.power / distance.max(radius).max(f32::MIN_POSITIVE).powi(2);
+        if distance <= radius {
+            return importance;
+        }
+        let direction = line / distance;
+        // The box lies within this angle of the direction to its middle.
+        let bound = Angle::of_sine(radius / distance);
+        let cosine = -direction.dot(self.axis);
+        let cosine = if self.double_sided { cosine.abs() } else { cosine };
+        let leaving = Angle::of_cosine(cosine).minus(self.spread).minus(bound);
+        if leaving.cosine <= 0.0 {
+            return 0.0;
+        }
+        importance *= leaving.cosine;
+        if let Some(normal) = receiver.normal {
+            let arriving = Angle::of_cosine(direction.dot(normal)).minus(bound);
+            if arriving.cosine <= 0.0 {
+                return 0.0;
+            }
+            importance *= arriving.cosine;
+        }
+        importance.max(f32::MIN_POSITIVE)
+    }
+}
+
+/// An angle of 0..=π by its sine and cosine: sums of angles without arc functions, which took half the time.
+#[derive(Debug, Clone, Copy)]
+struct Angle {
+    sine: f32,
+    cosine: f32,
+}
+
+impl Angle {
+    fn of_cosine(cosine: f32) -> Angle {
+        Angle { sine: (1.0 - cosine * cosine).max(0.0).sqrt(), cosine }
+    }
+
+    /// Up to π/2.
+    fn of_sine(sine: f32) -> Angle {
+        Angle { sine, cosine: (1.0 - sine * sine).max(0.0).sqrt() }
+    }
+
+    /// The difference; zero if it were negative.
+    fn minus(self, other: Angle) -> Angle {
+        if self.cosine >= other.cosine {
+            return Angle { sine: 0.0, cosine: 1.0 };
+        }
+        Angle {
+            sine: self.sine * other.cosine - self.cosine * other.sine,
+            cosine: self.cosine * other.cosine + self.sine * other.sine,
+        }
+    }
+}
+
+impl Emitter {
+    fn normal(&self) -> Vec3 {
+        let [a, b, c] = self.corners;
+        (b - a).cross(c - a).normalize_or(Vec3::Y)
     }
 }
 
@@ -182,8 +364,4 @@ fn mean_emission(scene: &Scene, surfaces: &Surfaces, triangle: u32) -> f32 {
 
 fn area_of([a, b, c]: &[Vec3; 3]) -> f32 {
     0.5 * (b - a).cross(c - a).length()
-}
-
-fn normal_of([a, b, c]: &[Vec3; 3]) -> Vec3 {
-    (b - a).cross(c - a).normalize_or(Vec3::Y)
 }

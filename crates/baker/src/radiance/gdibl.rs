@@ -55,6 +55,9 @@ pub struct GdiblSettings {
     pub blend: BlendRule,
     /// What rays do at scene geometry.
     pub scene_hit: SceneHit,
+    /// The probes show reflected light alone (see [`crate::capture::CaptureSettings::emission`]): what environment
+    /// surfaces send out themselves is taken from their materials, sharp and exact.
+    pub emission_from_materials: bool,
     /// Of the random walks that find what scene geometry does to the environment; the bake's.
     pub seed: u64,
 }
@@ -228,8 +231,19 @@ impl<'a> Gdibl<'a> {
         Radiance { value: emission + albedo * arriving.value, coverage: arriving.coverage }
     }
 
-    /// 3. Environment geometry: the probes that see the point lend their pixels.
+    /// 3. Environment geometry: what it sends out itself, if that is known, and what probes have seen of it.
     fn environment_radiance(&self, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
+        let mut seen = self.blended_radiance(hit, viewer, context);
+        if self.settings.emission_from_materials
+            && let Some(environment) = &self.environment
+        {
+            seen.value += environment.emission(self.scene, hit);
+        }
+        seen
+    }
+
+    /// The probes that see the point lend their pixels.
+    fn blended_radiance(&self, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
         let environment = self.environment.as_ref().expect("the environment was hit");
         let scratch = &mut context.scratch;
         // Candidates stand on the side from which the ray came.

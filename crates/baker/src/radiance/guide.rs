@@ -58,7 +58,8 @@ impl Guide {
         self.emitters.as_ref()
     }
 
-    /// A direction from `origin` (trace space) for a point of the unit square, and w = 1/(4π p) of it.
+    /// A direction from `origin` (trace space) for a point of the unit square, and w = 1/(4π p) of it;
+    /// w = 0 where there is none.
     pub fn propose(&self, origin: Vec3, [first, second]: [f32; 2]) -> (Vec3, f32) {
         let [uniform_end, sky_end] = self.ends;
         let (direction, density) = if first < uniform_end {
@@ -69,7 +70,11 @@ impl Guide {
             (direction, self.mixed(density, || self.emitter_density(origin, direction)))
         } else {
             let emitters = self.emitters.as_ref().expect("the last share is the emitters'");
-            let (direction, density) = emitters.sample_direction(origin, [(first - sky_end) / (1.0 - sky_end), second]);
+            let point = [(first - sky_end) / (1.0 - sky_end), second];
+            let Some((direction, density)) = emitters.sample_direction(origin, point) else {
+                // None can light this place; their share of the samples is lost.
+                return (Vec3::Y, 0.0);
+            };
             (direction, self.mixed(self.sky_density(direction), || density))
         };
         (direction, UNIFORM / density)

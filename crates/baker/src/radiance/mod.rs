@@ -56,6 +56,10 @@ impl Radiance {
     }
 }
 
+/// Who sees no light, and backs of triangles in more than this share of directions, is inside a solid: it may stand on a
+/// floor, and that shows its front. A dark room shows the fronts of its walls.
+pub(crate) const SOLID_BACKS: f64 = 0.25;
+
 /// What one worker carries from ray to ray: random points, scratch memory, counts.
 #[derive(Debug)]
 pub struct PathContext {
@@ -65,13 +69,15 @@ pub struct PathContext {
     pub sample: u32,
     /// Every ray traced, lines of sight included.
     pub rays: u64,
+    /// First hits on the back of a triangle, by its winding, single-sided or not.
+    pub backs: u64,
     scratch: gdibl::Scratch,
 }
 
 impl PathContext {
     /// For the given stream of points.
     pub fn new(stream: Stream) -> Self {
-        PathContext { stream, sample: 0, rays: 0, scratch: Default::default() }
+        PathContext { stream, sample: 0, rays: 0, backs: 0, scratch: Default::default() }
     }
 
     /// Random numbers `pair` of the sample at hand.

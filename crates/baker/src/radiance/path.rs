@@ -10,7 +10,7 @@
 
 use glam::Vec3;
 
-use super::emitters::solid_angle_density;
+use super::emitters::{Receiver, solid_angle_density};
 use super::guide::Guide;
 use super::punctual::{Arriving, Punctual};
 use super::sky::{Distant, Sky};
@@ -54,8 +54,8 @@ pub struct Path<'a> {
     surfaces: Option<Surfaces>,
     sky: Option<Sky<'a>>,
     guide: Guide,
-    /// Density per square trace unit with which each triangle is drawn as a light.
-    drawn: Vec<f32>,
+    /// Which emitter each triangle is; `u32::MAX`: none that is drawn.
+    emitters: Vec<u32>,
     punctual: Punctual,
     settings: PathSettings,
 }
@@ -68,8 +68,8 @@ impl<'a> Path<'a> {
         let frame = Frame::of_scene(scene);
         let surfaces = Surfaces::new(scene, |mesh| settings.scene_geometry || mesh.role == Role::Environment, &frame);
         let guide = Guide::new(scene, distant, &surfaces.iter().collect::<Vec<_>>());
-        let drawn = match (guide.emitters(), &surfaces) {
-            (Some(emitters), Some(surfaces)) => emitters.densities(surfaces),
+        let emitters = match (guide.emitters(), &surfaces) {
+            (Some(emitters), Some(surfaces)) => emitters.numbers(surfaces),
             _ => Vec::new(),
         };
         Path {
@@ -78,7 +78,7 @@ impl<'a> Path<'a> {
             surfaces,
             sky: distant.map(Sky::new),
             guide,
-            drawn,
+            emitters,
             punctual: Punctual::new(scene, &frame),
             settings,
         }
@@ -122,29 +122,32 @@ impl<'a> Path<'a> {
         self.nearest(origin, direction, 1, context)
     }
 
-    /// Light along a ray in the unit `direction` that first met `first`.
+    /// What the surface that a ray first met sends out itself; nothing where it escaped.
+    pub fn emission(&self, first: Option<Hit>) -> Vec3 {
+        let emission = |hit: Hit| self.surfaces.as_ref().map(|surfaces| surfaces.emission(self.scene, &hit));
+        first.and_then(emission).unwrap_or(Vec3::ZERO)
+    }
+
+    /// Light along a ray in the unit `direction` that first met `first`, [`Path::emission`] included.
     pub fn light(&self, direction: Vec3, first: Option<Hit>, context: &mut PathContext) -> Vec3 {
         let mut light = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
         let (mut met, mut direction) = (first, direction);
-        // Density of the direction at the surface it left; the first ray was paid for by who sent it.
-        let mut density = None;
+        // The surface that was left, and the density of the direction there; the first ray was paid for by who sent it.
+        let mut left: Option<(Receiver, f32)> = None;
         for bounce in 0..=self.settings.bounces {
             let pair = 1 + PAIRS * bounce;
             let Some(hit) = met else {
                 let sky = self.sky.as_ref().map_or(Vec3::ZERO, |sky| sky.radiance(direction));
                 let drawn = || self.guide.sky().map_or(0.0, |sky| sky.density(direction));
-                light += throughput * sky * balance(density, drawn);
+                light += throughput * sky * left.map_or(1.0, |(_, density)| balance(density, drawn()));
                 break;
             };
             let surfaces = self.surfaces.as_ref().expect("something was hit");
             let emission = surfaces.emission(self.scene, &hit);
             if emission != Vec3::ZERO {
-                let drawn = || {
-                    let density = self.drawn.get(hit.triangle as usize).copied().unwrap_or(0.0);
-                    if density > 0.0 { solid_angle_density(density, direction * hit.t, hit.normal) } else { 0.0 }
-                };
-                light += throughput * emission * balance(density, drawn);
+                let weight = left.map_or(1.0, |(left, density)| balance(density, self.drawn(&left, &hit, direction)));
+                light += throughput * emission * weight;
             }
             // The last surface only glows.
             throughput *= surfaces.albedo(self.scene, &hit);
@@ -162,10 +165,18 @@ impl<'a> Path<'a> {
                 throughput /= survival;
             }
             direction = cosine_hemisphere(hit.normal, context.point(pair));
-            density = Some(direction.dot(hit.normal) * std::f32::consts::FRAC_1_PI);
+            let receiver = Receiver { position: start, normal: Some(hit.normal) };
+            left = Some((receiver, direction.dot(hit.normal) * std::f32::consts::FRAC_1_PI));
             met = self.nearest(start, direction, pair + PAIRS, context);
         }
         light
+    }
+
+    /// Density per steradian with which a receiver's own ray toward an emitter finds this hit.
+    fn drawn(&self, receiver: &Receiver, hit: &Hit, direction: Vec3) -> f32 {
+        let number = self.emitters.get(hit.triangle as usize).copied().filter(|number| *number != u32::MAX);
+        let (Some(number), Some(emitters)) = (number, self.guide.emitters()) else { return 0.0 };
+        solid_angle_density(emitters.density_on(number, receiver), direction * hit.t, hit.normal)
     }
 
     /// Light that arrives at a surface straight from lights, over π: what a white surface sends on. Next-event
@@ -174,11 +185,12 @@ impl<'a> Path<'a> {
         const FRAC_1_PI: f32 = std::f32::consts::FRAC_1_PI;
         let mut sum = Vec3::ZERO;
         if let (Some(emitters), Some(surfaces)) = (self.guide.emitters(), &self.surfaces) {
-            let point = emitters.draw(context.point(pair + 1));
-            let line = point.position - start;
+            let receiver = Receiver { position: start, normal: Some(normal) };
+            let drawn = emitters.draw(&receiver, context.point(pair + 1));
+            let line = drawn.map_or(Vec3::ZERO, |point| point.position - start);
             let direction = line.normalize_or_zero();
             let cosine = direction.dot(normal);
-            if cosine > 0.0 {
+            if let Some(point) = drawn.filter(|_| cosine > 0.0) {
                 let back = direction.dot(point.normal) > 0.0;
                 let place = surfaces.point(point.triangle, point.barycentric, back);
                 let emission = surfaces.emission(self.scene, &place)
@@ -279,6 +291,7 @@ impl RadianceFunction for Path<'_> {
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         let first = self.meet(origin, direction, context);
+        context.backs += u64::from(first.is_some_and(|hit| hit.back));
         Radiance::covered(self.light(direction, first, context))
     }
 
@@ -321,11 +334,7 @@ pub fn specular_left_out(scene: &Scene) -> Option<Finding> {
     })
 }
 
-/// Weight of light that the walk found, which a light's own ray could have found with density `drawn`. `walk`: density
-/// of the walk's direction, `None` for a first ray, which alone sees what it sees.
-fn balance(walk: Option<f32>, drawn: impl FnOnce() -> f32) -> f32 {
-    match walk {
-        None => 1.0,
-        Some(walk) => walk / (walk + drawn()),
-    }
+/// Weight of light that the walk found with density `walk`, and a light's own ray could have found with `drawn`.
+fn balance(walk: f32, drawn: f32) -> f32 {
+    walk / (walk + drawn)
 }

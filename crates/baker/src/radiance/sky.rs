@@ -17,6 +17,14 @@ pub struct Distant {
     pub panorama: Panorama,
 }
 
+impl Distant {
+    /// Nothing at infinity, and that is known.
+    pub fn black() -> Distant {
+        let panorama = Panorama::new(1, 1, vec![[0.0; 3]], None);
+        Distant { name: "black".into(), rotation: Quat::IDENTITY, exposure_stops: 0.0, panorama }
+    }
+}
+
 /// A distant panorama as rays of the world see it.
 #[derive(Debug)]
 pub(super) struct Sky<'a> {

@@ -54,6 +54,8 @@ pub(super) struct UsedBy {
 pub struct Textures {
     /// Everything that sends light.
     pub all: bool,
+    /// Emission of the environment too.
+    pub emission: bool,
     /// The level has scene geometry: its shadows need the environment's base colours.
     pub objects: bool,
 }
@@ -72,7 +74,7 @@ impl Draft {
         Needs {
             alpha: self.material.alpha != Alpha::Opaque,
             base_color: (colour || textures.objects) && !self.material.unlit,
-            emission: colour && self.material.emission != Vec3::ZERO,
+            emission: (colour || textures.emission) && self.material.emission != Vec3::ZERO,
         }
     }
 

@@ -69,6 +69,8 @@ pub enum TextureNeeds {
     /// environment's colours are in the probes' pixels. Of a level with scene geometry, which throws shadows on the
     /// environment, its base colours too.
     Gdibl,
+    /// As for GDIBL, and the environment's emission: GDIBL by probes that were captured from the level itself.
+    Captured,
     /// Base colour and emission of every used material: path tracing.
     All,
 }
@@ -117,7 +119,11 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
 
     let drafts = material::read(&document, &mut findings)?;
     let objects = nodes.iter().any(|node| node.role == Some(Role::Scene) && document.nodes[node.node].mesh.is_some());
-    let textures = Textures { all: options.textures == TextureNeeds::All, objects };
+    let textures = Textures {
+        all: options.textures == TextureNeeds::All,
+        emission: options.textures == TextureNeeds::Captured,
+        objects,
+    };
     let mut meshes = read_meshes(&buffers, &nodes, &drafts, options, textures, &mut findings)?;
 
     // Only now is it known which materials have triangles.

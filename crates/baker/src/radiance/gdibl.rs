@@ -12,7 +12,7 @@ use super::effects::EffectCache;
 use super::guide::Guide;
 use super::punctual::Punctual;
 use super::sky::{Distant, Sky};
-use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction};
+use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere};
 use crate::scene::{Role, Scene};
@@ -105,6 +105,13 @@ pub struct Gdibl<'a> {
     effects: Option<EffectCache>,
 }
 
+/// What a ray meets.
+enum Met {
+    Object(Hit),
+    Environment(Hit),
+    Nothing,
+}
+
 /// Memory reused from ray to ray.
 #[derive(Debug, Default)]
 pub struct Scratch {
@@ -172,8 +179,26 @@ impl<'a> Gdibl<'a> {
         self.settings.scene_hit
     }
 
-    /// 1. The nearest hit wins; what a partly clear surface lets through goes on.
     fn radiance_along(&self, origin: Vec3, direction: Vec3, walk: Walk, context: &mut PathContext) -> Radiance {
+        self.sum_along(origin, direction, context, |met, context| match met {
+            Met::Object(hit) => self.object_radiance(&hit, walk, context),
+            Met::Environment(hit) => {
+                let mut part = self.environment_radiance(&hit, origin, context);
+                part.value += self.effect(&hit, walk, context) * part.coverage;
+                part
+            }
+            Met::Nothing => self.escaping_radiance(direction, context),
+        })
+    }
+
+    /// 1. The nearest hit wins; what a partly clear surface lets through goes on. `radiance` tells what each shows.
+    fn sum_along(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        context: &mut PathContext,
+        radiance: impl Fn(Met, &mut PathContext) -> Radiance,
+    ) -> Radiance {
         let mut sum = Radiance::UNCOVERED;
         let mut clear = 1.0;
         let mut passed = 0.0;
@@ -183,15 +208,12 @@ impl<'a> Gdibl<'a> {
                 self.environment.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, f32::INFINITY));
             let limit = near.map_or(f32::INFINITY, |hit| hit.t);
             let object = self.objects.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, limit));
-            let (part, opacity, t) = match (object, near) {
-                (Some(hit), _) => (self.object_radiance(&hit, walk, context), hit.opacity, hit.t),
-                (None, Some(hit)) => {
-                    let mut part = self.environment_radiance(&hit, origin, context);
-                    part.value += self.effect(&hit, walk, context) * part.coverage;
-                    (part, hit.opacity, hit.t)
-                }
-                (None, None) => (self.escaping_radiance(direction, context), 1.0, 0.0),
+            let (met, opacity, t) = match (object, near) {
+                (Some(hit), _) => (Met::Object(hit), hit.opacity, hit.t),
+                (None, Some(hit)) => (Met::Environment(hit), hit.opacity, hit.t),
+                (None, None) => (Met::Nothing, 1.0, 0.0),
             };
+            let part = radiance(met, context);
             sum.value += part.value * (clear * opacity);
             sum.coverage += part.coverage * (clear * opacity);
             clear *= 1.0 - opacity;
@@ -383,6 +405,32 @@ impl RadianceFunction for Gdibl<'_> {
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         self.radiance_along(origin, direction, Walk::default(), context)
+    }
+
+    fn look(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        context: &mut PathContext,
+        shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
+    ) -> Radiance {
+        let walk = Walk::default();
+        self.sum_along(origin, direction, context, |met, context| match met {
+            Met::Object(hit) => {
+                let surfaces = self.objects.as_ref().expect("an object was hit");
+                let shaded = shade(&Seen { scene: self.scene, surfaces, hit: &hit, direction }, context);
+                shaded.unwrap_or_else(|| self.object_radiance(&hit, walk, context))
+            }
+            Met::Environment(hit) => {
+                let mut part = self.environment_radiance(&hit, origin, context);
+                // The point's own walk: texels, good enough for what comes by way of another surface, would be seen.
+                if self.effects.is_some() {
+                    part.value += self.effect_of_objects(&hit, walk, context) * part.coverage;
+                }
+                part
+            }
+            Met::Nothing => self.escaping_radiance(direction, context),
+        })
     }
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {

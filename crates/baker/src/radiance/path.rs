@@ -14,7 +14,7 @@ use super::emitters::solid_angle_density;
 use super::guide::Guide;
 use super::punctual::{Arriving, Punctual};
 use super::sky::{Distant, Sky};
-use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction};
+use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
 use crate::sampling::cosine_hemisphere;
 use crate::scene::{Role, Scene};
@@ -278,8 +278,22 @@ impl RadianceFunction for Path<'_> {
     }
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
+        self.look(origin, direction, context, |_, _| None)
+    }
+
+    fn look(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        context: &mut PathContext,
+        shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
+    ) -> Radiance {
         let first = self.meet(origin, direction, context);
-        Radiance::covered(self.light(direction, first, context))
+        let shaded = match (&first, &self.surfaces) {
+            (Some(hit), Some(surfaces)) => shade(&Seen { scene: self.scene, surfaces, hit, direction }, context),
+            _ => None,
+        };
+        shaded.unwrap_or_else(|| Radiance::covered(self.light(direction, first, context)))
     }
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {

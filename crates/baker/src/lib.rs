@@ -7,7 +7,7 @@
 //!                                          ↑          ↑
 //!                                   gdibl or path  sampling        beside it: capture, plan, records
 //! ```
-//! Only [`import`] reads files and only [`volume`] writes one; the library never prints. World axes are glTF's:
+//! Only [`import`] knows files, and [`volume`] how one is written whole; the library never prints. World axes are glTF's:
 //! right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance coefficients L_lm; who shades
 //! with them writes `diffuse = albedo / PI * irradiance` (see `gdibl_runtime::sh`).
 
@@ -25,6 +25,7 @@ pub mod sampling;
 pub mod scene;
 pub mod trace;
 pub mod volume;
+mod whole;
 
 pub use control::{Control, Interrupted};
 pub use error::{Error, Finding, Result};

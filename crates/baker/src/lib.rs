@@ -5,7 +5,7 @@
 //! ```text
 //! import ─→ scene, panorama ─→ trace ─→ radiance ─→ bake ─→ volume ─→ .gdibl
 //!                                          ↑          ↑
-//!                                   gdibl or path  sampling        beside it: capture, plan, records
+//!                                   gdibl or path  sampling        beside it: capture, render, plan, records
 //! ```
 //! Only [`import`] knows files, and [`volume`] how one is written whole; the library never prints. World axes are glTF's:
 //! right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance coefficients L_lm; who shades
@@ -21,6 +21,7 @@ pub mod panorama;
 pub mod plan;
 pub mod radiance;
 pub mod records;
+pub mod render;
 pub mod sampling;
 pub mod scene;
 pub mod trace;

@@ -4,5 +4,6 @@ mod blending;
 mod geometry;
 mod level;
 mod light;
+mod render;
 mod statistics;
 mod sun;

@@ -31,7 +31,8 @@ pub trait RadianceFunction: Sync {
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance;
 
     /// The same for a ray of a camera. `shade` is asked first about every surface that the ray meets, as far as light is
-    /// computed there: not about environment geometry that shows its probes. Where it has no answer, the function has.
+    /// computed there: not about environment geometry that shows its probes. Where it has no answer, the function has, by the
+    /// shading normal of that surface.
     fn look(
         &self,
         origin: Vec3,

@@ -278,7 +278,8 @@ impl RadianceFunction for Path<'_> {
     }
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
-        self.look(origin, direction, context, |_, _| None)
+        let first = self.meet(origin, direction, context);
+        Radiance::covered(self.light(direction, first, context))
     }
 
     fn look(
@@ -289,11 +290,14 @@ impl RadianceFunction for Path<'_> {
         shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
     ) -> Radiance {
         let first = self.meet(origin, direction, context);
-        let shaded = match (&first, &self.surfaces) {
-            (Some(hit), Some(surfaces)) => shade(&Seen { scene: self.scene, surfaces, hit, direction }, context),
-            _ => None,
+        let (Some(hit), Some(surfaces)) = (first, &self.surfaces) else {
+            return Radiance::covered(self.light(direction, first, context));
         };
-        shaded.unwrap_or_else(|| Radiance::covered(self.light(direction, first, context)))
+        let shaded = shade(&Seen { scene: self.scene, surfaces, hit: &hit, direction }, context);
+        shaded.unwrap_or_else(|| {
+            let first = surfaces.smooth(self.scene, hit);
+            Radiance::covered(self.light(direction, Some(first), context))
+        })
     }
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {

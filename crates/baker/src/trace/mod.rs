@@ -241,6 +241,12 @@ impl Surfaces {
         facing.try_normalize().unwrap_or(hit.normal)
     }
 
+    /// The hit with its normal as shading sees it. Light from under the triangle, which the normal then lets in at grazing
+    /// angles, is the object's own.
+    pub fn smooth(&self, scene: &Scene, hit: Hit) -> Hit {
+        Hit { normal: self.shading_normal(scene, &hit), ..hit }
+    }
+
     /// Diffuse albedo, linear RGB: base colour × texture × vertex colour × (1 - metallic); black where unlit.
     pub fn albedo(&self, scene: &Scene, hit: &Hit) -> Vec3 {
         let material = self.material(scene, hit.triangle);

@@ -1,4 +1,4 @@
-//! Probes captured from the level: for `capture`, and for a bake that was given none.
+//! Probes captured from the level: for `capture`, and for a bake or a picture that was given none.
 
 use glam::DVec3;
 use std::io::Write;
@@ -10,7 +10,7 @@ use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, capture, pl
 use gdibl_baker::import::gltf::{TextureNeeds, read_files};
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
 use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
-use gdibl_baker::radiance::path::{Path as Paths, PathSettings};
+use gdibl_baker::radiance::path::{Path as Paths, PathSettings, specular_left_out};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::{Control, Finding};
 
@@ -116,27 +116,49 @@ fn write(place: &Place, captured: &Captured, mapping: Mapping) -> Result<Vec<Fin
         let size = if mapping == Mapping::AngularMap { image.width } else { image.width / 4 };
         write_exr(&place.file, &from_lat_long(&panorama, mapping, size), &pose, mapping, format)
     };
-    written.map_err(|error| match error {
-        gdibl_baker::Error::Io { path, source } => Fault::writing(&path, &source),
-        other => other.into(),
-    })
+    written.map_err(Fault::from_writing)
 }
 
-/// Probes for a bake that was given none.
-pub struct AutoCapture {
-    pub entries: Vec<ProbeEntry>,
+/// The embedded default of an input that lacks probes: they are made from the level, or taken from an earlier run.
+/// Returns how many there are.
+pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool, quiet: bool) -> Result<usize, Fault> {
+    let captured = auto_capture(config, cancel, quiet)?;
+    inputs.read_probes(&captured.entries, config)?;
+    let count = captured.entries.len();
+    if let Some(seconds) = captured.seconds {
+        say(&format!(
+            "no probe was given: captured {count} from the level in {seconds:.1} s; they are kept in {} for the next time \
+             (bake --no-capture does without)",
+            captured.folder.display()
+        ));
+    }
+    if inputs.probes.iter().all(|probe| probe.panorama.pixels().iter().all(|pixel| *pixel == [0.0; 3])) {
+        return Err(Fault::Bound(format!(
+            "{}: no light reaches any of the {count} probes that were captured from it: is it closed under its sky? Give \
+             it lights, or --probes",
+            config.level.display()
+        )));
+    }
+    inputs.findings.extend(specular_left_out(&inputs.scene));
+    Ok(count)
+}
+
+/// Probes that stand in for those that nobody gave.
+struct AutoCapture {
+    entries: Vec<ProbeEntry>,
+    folder: PathBuf,
     /// What it cost; `None`: they were there already.
-    pub seconds: Option<f64>,
+    seconds: Option<f64>,
 }
 
-/// Captures probes into a folder beside the output, or finds them there from an earlier bake of the same level, light
-/// and settings. The folder's name is the hash of all these, so what lies in it is never out of date.
-pub fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<AutoCapture, Fault> {
+/// Captures probes into a folder beside the volume that a bake writes, or finds them there from an earlier run with the
+/// same level, light and settings. The folder's name is the hash of all these, so what lies in it is never out of date.
+fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<AutoCapture, Fault> {
     let settings = capture_settings(config)?;
     let parent = config.output.with_extension("captured");
     let folder = parent.join(content_key(config, &settings)?);
     if folder.is_dir() {
-        return Ok(AutoCapture { entries: entries_of(&folder)?, seconds: None });
+        return Ok(AutoCapture { entries: entries_of(&folder)?, folder, seconds: None });
     }
     let started = Instant::now();
     let inputs = Inputs::read_level(config, TextureNeeds::All)?;
@@ -167,7 +189,7 @@ pub fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result
         }
     }
     std::fs::rename(filling.keep(), &folder).map_err(writing)?;
-    Ok(AutoCapture { entries: entries_of(&folder)?, seconds: Some(started.elapsed().as_secs_f64()) })
+    Ok(AutoCapture { entries: entries_of(&folder)?, folder, seconds: Some(started.elapsed().as_secs_f64()) })
 }
 
 fn entries_of(folder: &Path) -> Result<Vec<ProbeEntry>, Fault> {

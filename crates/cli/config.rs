@@ -5,7 +5,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 use gdibl_baker::radiance::blend::BlendRule;
-use gdibl_baker::radiance::gdibl::SceneHit;
+use gdibl_baker::radiance::gdibl::{GdiblSettings, SceneHit};
 use gdibl_baker::radiance::path::PathSettings;
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::Precision;
@@ -133,7 +133,7 @@ impl CaptureFlags {
     }
 }
 
-fn parse_position(text: &str) -> Result<[f64; 3], String> {
+pub fn parse_position(text: &str) -> Result<[f64; 3], String> {
     let numbers: Vec<f64> =
         text.split(',').filter_map(|n| n.trim().parse().ok()).filter(|n: &f64| n.is_finite()).collect();
     <[f64; 3]>::try_from(numbers).ok().filter(|_| text.split(',').count() == 3).ok_or("expected x,y,z".into())
@@ -319,6 +319,17 @@ pub fn clamp(quality: &QualityFlags) -> Result<f32, Fault> {
     }
 }
 
+/// How the probes' light is computed.
+pub fn gdibl_settings(quality: &QualityFlags) -> GdiblSettings {
+    let defaults = GdiblSettings::default();
+    GdiblSettings {
+        blend: quality.blend.unwrap_or(defaults.blend),
+        scene_hit: quality.scene.unwrap_or(defaults.scene_hit),
+        seed: quality.seed.unwrap_or(defaults.seed),
+        ..defaults
+    }
+}
+
 /// How paths are traced.
 pub fn path_settings(quality: &QualityFlags) -> Result<PathSettings, Fault> {
     let bounces = quality.bounces.unwrap_or(PathSettings::default().bounces);
@@ -407,7 +418,7 @@ fn parse_sampler(text: &str) -> Result<Sampler, String> {
     }
 }
 
-fn parse_method(text: &str) -> Result<Method, String> {
+pub fn parse_method(text: &str) -> Result<Method, String> {
     match text {
         "gdibl" => Ok(Method::Gdibl),
         "path" => Ok(Method::Path),
@@ -455,7 +466,7 @@ fn parse_precision(text: &str) -> Result<Precision, String> {
     }
 }
 
-fn parse_blend(text: &str) -> Result<BlendRule, String> {
+pub fn parse_blend(text: &str) -> Result<BlendRule, String> {
     text.parse()
 }
 

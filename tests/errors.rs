@@ -281,7 +281,10 @@ fn full_disk_under_standard_output_is_a_system_error() {
     let folder = inputs();
     let bake = ["bake", "room.glb", "--probes", "probe.exr", "--counts", "2,2,2", "--samples", "16"];
     folder.ok(&bake);
-    let verbs: [&[&str]; 8] = [
+    let render = ["render", "room.glb", "--probes", "probe.exr", "--size", "8x8", "--samples", "1"];
+    let verbs: [&[&str]; 10] = [
+        &render,
+        &[&render[..], &["--json"]].concat(),
         &["sample", "room.gdibl", "--at", "good.csv"],
         &["sample", "room.gdibl", "--at", "good.csv", "--json"],
         &["inspect", "room.gdibl"],

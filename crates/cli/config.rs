@@ -4,8 +4,9 @@ use clap::Args;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
+use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::radiance::blend::BlendRule;
-use gdibl_baker::radiance::gdibl::SceneHit;
+use gdibl_baker::radiance::gdibl::{GdiblSettings, SceneHit};
 use gdibl_baker::radiance::path::PathSettings;
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::Precision;
@@ -133,7 +134,7 @@ impl CaptureFlags {
     }
 }
 
-fn parse_position(text: &str) -> Result<[f64; 3], String> {
+pub fn parse_position(text: &str) -> Result<[f64; 3], String> {
     let numbers: Vec<f64> =
         text.split(',').filter_map(|n| n.trim().parse().ok()).filter(|n: &f64| n.is_finite()).collect();
     <[f64; 3]>::try_from(numbers).ok().filter(|_| text.split(',').count() == 3).ok_or("expected x,y,z".into())
@@ -319,6 +320,18 @@ pub fn clamp(quality: &QualityFlags) -> Result<f32, Fault> {
     }
 }
 
+/// How the probes' light is computed. `captured`: they were captured for want of others.
+pub fn gdibl_settings(quality: &QualityFlags, captured: bool) -> GdiblSettings {
+    let defaults = GdiblSettings::default();
+    GdiblSettings {
+        blend: quality.blend.unwrap_or(defaults.blend),
+        scene_hit: quality.scene.unwrap_or(defaults.scene_hit),
+        emission_from_materials: captured,
+        seed: quality.seed.unwrap_or(defaults.seed),
+        ..defaults
+    }
+}
+
 /// How paths are traced.
 pub fn path_settings(quality: &QualityFlags) -> Result<PathSettings, Fault> {
     let bounces = quality.bounces.unwrap_or(PathSettings::default().bounces);
@@ -329,8 +342,17 @@ pub fn path_settings(quality: &QualityFlags) -> Result<PathSettings, Fault> {
 }
 
 impl Config {
+    /// Which textures the method needs; `captures`: probes are captured if none is given.
+    pub fn textures(&self, captures: bool) -> TextureNeeds {
+        match self.quality.method.unwrap_or_default() {
+            Method::Path => TextureNeeds::All,
+            Method::Gdibl if captures && self.names_no_probe() => TextureNeeds::Captured,
+            Method::Gdibl => TextureNeeds::Gdibl,
+        }
+    }
+
     /// Neither flags nor BAKE.toml name a probe; the level's nodes may.
-    pub fn names_no_probe(&self) -> bool {
+    fn names_no_probe(&self) -> bool {
         self.probes.is_empty() && self.placed_probes.is_empty()
     }
 }
@@ -414,7 +436,7 @@ fn parse_sampler(text: &str) -> Result<Sampler, String> {
     }
 }
 
-fn parse_method(text: &str) -> Result<Method, String> {
+pub fn parse_method(text: &str) -> Result<Method, String> {
     match text {
         "gdibl" => Ok(Method::Gdibl),
         "path" => Ok(Method::Path),
@@ -462,7 +484,7 @@ fn parse_precision(text: &str) -> Result<Precision, String> {
     }
 }
 
-fn parse_blend(text: &str) -> Result<BlendRule, String> {
+pub fn parse_blend(text: &str) -> Result<BlendRule, String> {
     text.parse()
 }
 

@@ -43,6 +43,14 @@ impl Fault {
         }
     }
 
+    /// What the library said when it wrote a file.
+    pub fn from_writing(error: gdibl_baker::Error) -> Fault {
+        match error {
+            gdibl_baker::Error::Io { path, source } => Fault::writing(&path, &source),
+            other => other.into(),
+        }
+    }
+
     /// An output could not be written.
     pub fn writing(path: &Path, error: &std::io::Error) -> Fault {
         Fault::System(format!("{}: cannot write: {error}", path.display()))

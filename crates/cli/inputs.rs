@@ -10,21 +10,23 @@ use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::gdibl::Probe;
-use gdibl_baker::scene::{Mesh, Scene};
+use gdibl_baker::scene::{Mesh, Role, Scene};
 
 use crate::commands::file_name;
-use crate::config::{Config, GridFlags, NodeKind, ProbeEntry};
+use crate::config::{Config, GridFlags, Method, NodeKind, ProbeEntry};
 use crate::fault::Fault;
 
 /// Nodes along the longest axis when nothing is said.
 const DEFAULT_NODES: f64 = 32.0;
 
-/// Everything a bake reads.
+/// Everything that a bake or a picture reads.
 pub struct Inputs {
     pub scene: Scene,
     pub probes: Vec<Probe>,
     pub distant: Option<Distant>,
     pub findings: Vec<Finding>,
+    /// The probes were captured from the level for want of others, and show reflected light alone.
+    pub captured: bool,
 }
 
 impl Inputs {
@@ -46,7 +48,7 @@ impl Inputs {
             findings.extend(proxy.findings.iter().cloned());
             scene.replace_environment(proxy);
         }
-        let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings };
+        let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings, captured: false };
         if let Some(entry) = &config.distant {
             let (imported, panorama) = read_panorama(entry, config)?;
             inputs.findings.extend(imported.findings.iter().cloned());
@@ -82,6 +84,24 @@ impl Inputs {
             });
         }
         Ok(())
+    }
+
+    /// No probe was given, and there is something that one could see.
+    pub fn lacks_probes(&self) -> bool {
+        self.probes.is_empty() && self.scene.triangle_count(Role::Environment) > 0
+    }
+
+    /// Work without any light is refused.
+    pub fn check_light(&self, config: &Config, method: Method) -> Result<(), Fault> {
+        let probes = method == Method::Gdibl && !self.probes.is_empty();
+        if probes || self.has_light() {
+            return Ok(());
+        }
+        Err(Fault::Bound(format!(
+            "{}: nothing gives light: no probe, no distant panorama, no emissive material, no light; give --probes or \
+             --distant",
+            config.level.display()
+        )))
     }
 
     /// Something gives light that a path can find.

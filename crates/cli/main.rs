@@ -1,4 +1,4 @@
-//! `gdibl`: bakes irradiance volumes from a glTF level and a few HDR light probes, and tells what is in them.
+//! `gdibl`: bakes irradiance volumes from a glTF level and a few HDR light probes, and tells and shows what is in them.
 
 mod captures;
 mod commands;
@@ -31,6 +31,8 @@ enum Verb {
     Inspect(commands::inspect::Arguments),
     /// Irradiance, or SH coefficients, at the places of a CSV file
     Sample(commands::sample::Arguments),
+    /// Take a picture of a level in the light of its probes, of a volume, or by path tracing
+    Render(Box<commands::render::Arguments>),
     /// Error of a volume against another volume or a reference JSON
     Compare(commands::compare::Arguments),
 }
@@ -41,6 +43,7 @@ fn main() -> ExitCode {
         Verb::Capture(arguments) => commands::capture::run(*arguments),
         Verb::Inspect(arguments) => commands::inspect::run(arguments),
         Verb::Sample(arguments) => commands::sample::run(arguments),
+        Verb::Render(arguments) => commands::render::run(*arguments),
         Verb::Compare(arguments) => commands::compare::run(arguments),
     };
     match done {

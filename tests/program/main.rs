@@ -9,3 +9,4 @@ mod config;
 mod furnace;
 mod light;
 mod reader;
+mod render;

@@ -5,9 +5,9 @@
 //! ```text
 //! import ─→ scene, panorama ─→ trace ─→ radiance ─→ bake ─→ volume ─→ .gdibl
 //!                                          ↑          ↑
-//!                                   gdibl or path  sampling        beside it: capture, plan, records
+//!                                   gdibl or path  sampling        beside it: capture, render, plan, records
 //! ```
-//! Only [`import`] reads files and only [`volume`] writes one; the library never prints. World axes are glTF's:
+//! Only [`import`] knows files, and [`volume`] how one is written whole; the library never prints. World axes are glTF's:
 //! right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance coefficients L_lm; who shades
 //! with them writes `diffuse = albedo / PI * irradiance` (see `gdibl_runtime::sh`).
 
@@ -21,10 +21,12 @@ pub mod panorama;
 pub mod plan;
 pub mod radiance;
 pub mod records;
+pub mod render;
 pub mod sampling;
 pub mod scene;
 pub mod trace;
 pub mod volume;
+mod whole;
 
 pub use control::{Control, Interrupted};
 pub use error::{Error, Finding, Result};

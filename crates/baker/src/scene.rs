@@ -100,6 +100,8 @@ pub struct Mesh {
     pub positions: Vec<DVec3>,
     /// World unit normals, one per position; computed (area-weighted) where the file has none.
     pub normals: Vec<Vec3>,
+    /// The file gives the normals: a picture shades by them. Without, glTF means flat triangles.
+    pub smooth: bool,
     /// Texture coordinates for each [`TextureUse::uv_set`] of the material; empty, or one per position. Only kept when
     /// a decoded texture uses them. (Numbered anew: the file's sets may be any.)
     pub uvs: [Vec<Vec2>; 2],
@@ -131,6 +133,8 @@ pub struct Material {
     /// 0..=1; diffuse albedo is base colour × (1 - metallic). Where base colour matters and the file has a
     /// metallic-roughness texture: times that texture's mean.
     pub metallic: f32,
+    /// 0..=1, 0 is polished: the factor alone. Pictures ask for it ([`Material::is_mirror`]), bakes do not.
+    pub roughness: f32,
     /// Linear emitted radiance: factor × KHR_materials_emissive_strength; for unlit materials the base colour.
     pub emission: Vec3,
     /// Emission texture (sRGB), if it had to be decoded.
@@ -144,19 +148,28 @@ pub struct Material {
 }
 
 impl Default for Material {
-    /// glTF's default material: white, metallic 1 as glTF defines it, opaque, single-sided, no emission.
+    /// glTF's default material: white, metallic and roughness 1 as glTF defines it, opaque, single-sided, no emission.
     fn default() -> Self {
         Material {
             name: String::new(),
             base_color: Vec4::ONE,
             base_color_texture: None,
             metallic: 1.0,
+            roughness: 1.0,
             emission: Vec3::ZERO,
             emission_texture: None,
             alpha: Alpha::Opaque,
             double_sided: false,
             unlit: false,
         }
+    }
+}
+
+impl Material {
+    /// A polished metal: a picture shows what lies in the mirror direction, times base colour. What is less polished, or
+    /// less of a metal, is as dull in a picture as it is in a bake.
+    pub fn is_mirror(&self) -> bool {
+        !self.unlit && self.metallic >= 0.5 && self.roughness <= 0.1
     }
 }
 
@@ -387,6 +400,16 @@ mod tests {
             (grey - Vec4::new(0.502_886, 0.215_861, 0.003_035, 128.0 / 255.0)).abs().max_element() < 1e-5,
             "{grey}"
         );
+    }
+
+    #[test]
+    fn polished_metals_alone_are_mirrors() {
+        let material = |metallic, roughness, unlit| Material { metallic, roughness, unlit, ..Material::default() };
+        assert!(material(1.0, 0.0, false).is_mirror() && material(0.5, 0.1, false).is_mirror());
+        assert!(!material(0.4, 0.0, false).is_mirror(), "plastic");
+        assert!(!material(1.0, 0.2, false).is_mirror(), "brushed");
+        assert!(!material(1.0, 0.0, true).is_mirror(), "a picture of a mirror");
+        assert!(!Material::default().is_mirror());
     }
 
     #[test]

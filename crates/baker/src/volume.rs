@@ -2,12 +2,10 @@
 
 use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, SectionEntry};
 use half::f16;
-use std::io::Write;
-use std::path::Path;
 
 use crate::bake::{Baked, Nodes};
 use crate::records::{self, Records};
-use crate::{Error, Result};
+pub use crate::whole::write_whole;
 
 /// Numbers of the coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -145,24 +143,4 @@ fn positions(nodes: &Nodes, min: [f64; 3]) -> Vec<u8> {
 
 fn floats(values: impl Iterator<Item = f32>) -> Vec<u8> {
     values.flat_map(f32::to_le_bytes).collect()
-}
-
-/// Writes a file whole or not at all: to a temporary file in the same folder, then renamed.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let failed = |error| Error::io(path, error);
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // As for any file a program creates; the process's mask applies.
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder.prefix(".gdibl-").tempfile_in(folder).map_err(failed)?;
-    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(failed)?;
-    file.persist(path).map_err(|error| failed(error.error))?;
-    Ok(())
 }

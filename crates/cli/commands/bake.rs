@@ -4,22 +4,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes};
-use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::plan::{self, PlanRow};
-use gdibl_baker::radiance::{Distant, RadianceFunction};
-use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
+use gdibl_baker::radiance::RadianceFunction;
+use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::{Path, specular_left_out};
 use gdibl_baker::records::{ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::sampling::Sampler;
-use gdibl_baker::scene::Role;
 use gdibl_baker::volume::{PackSettings, Precision, pack, write_whole};
 use gdibl_baker::{Control, Finding};
 use serde::Serialize;
 
-use crate::captures::{auto_capture, say};
+use crate::captures::capture_missing;
 use crate::config::{
-    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, check_target, clamp, path_settings,
-    set_threads,
+    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, check_target, clamp, gdibl_settings,
+    path_settings, set_threads,
 };
 use crate::fault::Fault;
 use crate::inputs::{Inputs, nodes_of};
@@ -75,38 +73,32 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let method = config.quality.method.unwrap_or_default();
 
     // Everything is read and refused before the first ray.
-    let textures = match method {
-        Method::Path => TextureNeeds::All,
-        Method::Gdibl if !arguments.no_capture && config.names_no_probe() => TextureNeeds::Captured,
-        Method::Gdibl => TextureNeeds::Gdibl,
-    };
-    let mut inputs = Inputs::read(&config, textures)?;
+    let mut inputs = Inputs::read(&config, config.textures(!arguments.no_capture))?;
     if method == Method::Path {
         inputs.findings.extend(specular_left_out(&inputs.scene));
     }
     let nodes = nodes_of(&config, &inputs.scene)?;
     check_memory(&nodes, &settings, config.quality.max_memory)?;
-    let job = Job { config: &config, nodes: &nodes, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
-    let captures = method == Method::Gdibl && !arguments.no_capture && job.lacks_probes(&inputs);
+    let captures = method == Method::Gdibl && !arguments.no_capture && inputs.lacks_probes();
     if !arguments.plan {
         inputs.warn();
-        job.check_light(&inputs, method)?;
-        check_output(&config)?;
+        inputs.check_light(&config, method)?;
+        super::check_output(&config.output)?;
     }
     let capture = match captures {
         true if arguments.plan => PlanRow::new("capture", true, "no probe is given: they are captured from the level"),
-        true => job.capture(&mut inputs)?,
+        true => {
+            let count = capture_missing(&config, &mut inputs, &cancel, arguments.quiet)?;
+            // The same whether they were there already: same inputs, same bytes.
+            PlanRow::new("capture", true, format!("no probe is given: {count} captured from the level"))
+        }
         false => PlanRow::new("capture", false, no_capture_reason(&inputs, method, arguments.no_capture)),
     };
 
+    let job = Job { nodes: &nodes, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
     let (plan, baked) = match method {
         Method::Gdibl => {
-            let gdibl = GdiblSettings {
-                blend: config.quality.blend.unwrap_or_default(),
-                scene_hit: config.quality.scene.unwrap_or_default(),
-                emission_from_materials: captures,
-                seed: settings.seed,
-            };
+            let gdibl = gdibl_settings(&config.quality, inputs.captured);
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
             let plan = [vec![capture], plan::plan(&inputs.scene, &function)].concat();
             if arguments.plan {
@@ -175,7 +167,6 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 
 /// What the steps of a bake share.
 struct Job<'a> {
-    config: &'a Config,
     nodes: &'a Nodes,
     settings: &'a BakeSettings,
     cancel: &'a AtomicBool,
@@ -183,50 +174,6 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// No probe was given, and there is something that one could see.
-    fn lacks_probes(&self, inputs: &Inputs) -> bool {
-        inputs.probes.is_empty() && inputs.scene.triangle_count(Role::Environment) > 0
-    }
-
-    /// A bake without any light is refused.
-    fn check_light(&self, inputs: &Inputs, method: Method) -> Result<(), Fault> {
-        let probes = method == Method::Gdibl && !inputs.probes.is_empty();
-        if probes || inputs.has_light() {
-            return Ok(());
-        }
-        Err(Fault::Bound(format!(
-            "{}: nothing gives light: no probe, no distant panorama, no emissive material, no light; give --probes or \
-             --distant",
-            self.config.level.display()
-        )))
-    }
-
-    /// The embedded default: probes are made from the level, or taken from an earlier bake.
-    fn capture(&self, inputs: &mut Inputs) -> Result<PlanRow, Fault> {
-        let captured = auto_capture(self.config, self.cancel, self.quiet)?;
-        inputs.read_probes(&captured.entries, self.config)?;
-        let count = captured.entries.len();
-        if let Some(seconds) = captured.seconds {
-            say(&format!(
-                "no probe was given: captured {count} from the level in {seconds:.1} s; they are kept beside the output \
-                 for the next bake (--no-capture bakes without)"
-            ));
-        }
-        if inputs.probes.iter().all(|probe| probe.panorama.pixels().iter().all(|pixel| *pixel == [0.0; 3])) {
-            return Err(Fault::Bound(format!(
-                "{}: no light reaches any of the {count} probes that were captured from it: is it closed under its sky? \
-                 Give it lights, or --probes",
-                self.config.level.display()
-            )));
-        }
-        inputs.findings.extend(specular_left_out(&inputs.scene));
-        // The level's own light is all there is: what escapes meets nothing, which is not the same as unknown.
-        inputs.distant.get_or_insert_with(Distant::black);
-        // The same whether they were there already: same inputs, same bytes.
-        let why = format!("no probe is given: {count} captured from the level");
-        Ok(PlanRow::new("capture", true, why))
-    }
-
     fn bake(&self, function: &impl RadianceFunction) -> Result<Baked, Fault> {
         let progress = Progress::new("nodes", self.nodes.len() as u64, self.quiet);
         let control = Control { cancel: self.cancel, progress: &|nodes, rays| progress.advance(nodes, rays) };
@@ -303,17 +250,6 @@ fn check_memory(nodes: &Nodes, settings: &BakeSettings, limit_gib: Option<f64>) 
         )));
     }
     Ok(())
-}
-
-/// An output that cannot be written is found out before hours of baking.
-fn check_output(config: &Config) -> Result<(), Fault> {
-    let output = &config.output;
-    if output.is_dir() {
-        return Err(Fault::Usage(format!("{}: is a folder; name a file", output.display())));
-    }
-    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
-    let probe = tempfile::Builder::new().prefix(".gdibl-").tempfile_in(folder);
-    probe.map(drop).map_err(|error| Fault::writing(output, &error))
 }
 
 fn settings_record(config: &Config, settings: &BakeSettings, method: Method) -> SettingsRecord {

@@ -102,7 +102,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     };
     let config = Config::new(files, GridFlags::default(), quality, arguments.capture)?;
     set_threads(config.quality.threads)?;
-    let settings = capture_settings(&config)?;
+    let settings = capture_settings(&config.capture, &config.quality)?;
 
     let mut inputs = Inputs::read_level(&config, TextureNeeds::All)?;
     inputs.findings.extend(specular_left_out(&inputs.scene));

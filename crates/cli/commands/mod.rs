@@ -4,6 +4,7 @@ pub mod bake;
 pub mod capture;
 pub mod compare;
 pub mod inspect;
+pub mod render;
 pub mod sample;
 
 use gdibl_baker::records::{Record, decode};
@@ -31,6 +32,16 @@ fn print_json(value: &impl Serialize) -> Result<(), Fault> {
 /// The last part of a path, for records that must not depend on where a level lies.
 pub fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// An output that cannot be written is found out before hours of work.
+fn check_output(output: &Path) -> Result<(), Fault> {
+    if output.is_dir() {
+        return Err(Fault::Usage(format!("{}: is a folder; name a file", output.display())));
+    }
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let probe = tempfile::Builder::new().prefix(".gdibl-").tempfile_in(folder);
+    probe.map(drop).map_err(|error| Fault::writing(output, &error))
 }
 
 /// A volume from a file.

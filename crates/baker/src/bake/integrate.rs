@@ -302,7 +302,7 @@ fn accumulate(moments: &mut [[f64; 3]], basis: &[f32], value: Vec3, weight: f32)
 }
 
 /// How many of `samples` fall to a replicate: as even as can be, the first ones take the rest.
-fn share(samples: u64, replicates: u32, replicate: u32) -> u32 {
+pub fn share(samples: u64, replicates: u32, replicate: u32) -> u32 {
     let (samples, replicates) = (samples as u32, u64::from(replicates) as u32);
     samples / replicates + u32::from(replicate < samples % replicates)
 }

@@ -1,8 +1,10 @@
-//! From a radiance function and nodes to baked coefficients: samples every node, stops it, fills invalid ones.
+//! From a radiance function and nodes to baked coefficients: samples every node, stops it, fills invalid ones. Beside
+//! it [`irradiance_at`]: E at places of surfaces, without coefficients.
 //!
 //! Parallel over nodes; every result has its own place, so bytes do not depend on the number of threads.
 
 mod directions;
+mod gather;
 mod integrate;
 mod nodes;
 
@@ -11,6 +13,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 use integrate::{Integrator, Moments, NodeEstimate};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
 

@@ -8,8 +8,8 @@
 use glam::{DVec3, UVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
 use crate::radiance::path::Path;
+use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
 use crate::sampling::{Sampler, Stream, fibonacci_sphere};
 use crate::trace::Hit;
 

@@ -19,6 +19,7 @@
 //! Other layouts ([`Mapping`]) are converted once, at import, by [`to_lat_long`].
 
 mod convert;
+mod grid;
 mod image;
 mod importance;
 mod mapping;
@@ -30,6 +31,7 @@ use std::f64::consts::PI;
 use glam::Vec3;
 
 pub use convert::{from_lat_long, to_lat_long};
+pub(crate) use grid::PixelGrid;
 pub use image::Image;
 pub use importance::Importance;
 pub use mapping::{Mapping, guess_from_aspect};

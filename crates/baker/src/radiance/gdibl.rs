@@ -6,13 +6,14 @@
 //! ray; uncovered directions are filled by the integrator, so that the result does not depend on the order of rays.
 
 use glam::{DVec3, Mat3, Quat, Vec3};
+use std::f32::consts::FRAC_1_PI;
 
 use super::blend::{BlendRule, NEGLIGIBLE, View};
 use super::effects::EffectCache;
 use super::guide::Guide;
 use super::punctual::Punctual;
 use super::sky::{Distant, Sky};
-use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction};
+use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere};
 use crate::scene::{Role, Scene};
@@ -60,6 +61,9 @@ pub struct GdiblSettings {
     pub emission_from_materials: bool,
     /// Of the random walks that find what scene geometry does to the environment; the bake's.
     pub seed: u64,
+    /// Light on scene geometry, and what it keeps from the environment, is sought where the [`Guide`] knows it to be
+    /// bright, too, instead of by cosine alone. Pictures need it: see [`Gdibl::toward_light`].
+    pub next_event: bool,
 }
 
 /// A ray that has lost all but this share is not followed further.
@@ -82,6 +86,8 @@ const MAX_STEPS: u32 = 32;
 const TEXEL_STREAMS: u64 = 1 << 63;
 /// Random numbers of the roulette come after those of the directions.
 const ROULETTE: u32 = 2 * MAX_STEPS;
+/// And those of next-event estimation after these.
+const NEXT_EVENT: u32 = 4 * MAX_STEPS;
 
 /// A probe as the function uses it: in trace space, rotation turned round.
 #[derive(Debug)]
@@ -106,6 +112,23 @@ pub struct Gdibl<'a> {
     punctual: Punctual,
     settings: GdiblSettings,
     effects: Option<EffectCache>,
+}
+
+/// What a ray meets.
+enum Met {
+    Object(Hit),
+    Environment(Hit),
+    Nothing,
+}
+
+/// What scene geometry changes in the light along a ray that leaves the environment.
+enum Change {
+    /// Light with the object less light without it, and the share of the ray that it changes, 0..=1.
+    Object { difference: Vec3, share: f32 },
+    /// Nothing; the ray meets the environment here.
+    Behind(Hit),
+    /// Nothing; the ray escapes.
+    None,
 }
 
 /// Memory reused from ray to ray.
@@ -175,8 +198,26 @@ impl<'a> Gdibl<'a> {
         self.settings.scene_hit
     }
 
-    /// 1. The nearest hit wins; what a partly clear surface lets through goes on.
     fn radiance_along(&self, origin: Vec3, direction: Vec3, walk: Walk, context: &mut PathContext) -> Radiance {
+        self.sum_along(origin, direction, context, |met, context| match met {
+            Met::Object(hit) => self.object_radiance(&hit, walk, context),
+            Met::Environment(hit) => {
+                let mut part = self.environment_radiance(&hit, origin, context);
+                part.value += self.effect(&hit, walk, context) * part.coverage;
+                part
+            }
+            Met::Nothing => self.escaping_radiance(direction, context),
+        })
+    }
+
+    /// 1. The nearest hit wins; what a partly clear surface lets through goes on. `radiance` tells what each shows.
+    fn sum_along(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        context: &mut PathContext,
+        radiance: impl Fn(Met, &mut PathContext) -> Radiance,
+    ) -> Radiance {
         let mut sum = Radiance::UNCOVERED;
         let mut clear = 1.0;
         let mut passed = 0.0;
@@ -186,15 +227,12 @@ impl<'a> Gdibl<'a> {
                 self.environment.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, f32::INFINITY));
             let limit = near.map_or(f32::INFINITY, |hit| hit.t);
             let object = self.objects.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, limit));
-            let (part, opacity, t) = match (object, near) {
-                (Some(hit), _) => (self.object_radiance(&hit, walk, context), hit.opacity, hit.t),
-                (None, Some(hit)) => {
-                    let mut part = self.environment_radiance(&hit, origin, context);
-                    part.value += self.effect(&hit, walk, context) * part.coverage;
-                    (part, hit.opacity, hit.t)
-                }
-                (None, None) => (self.escaping_radiance(direction, context), 1.0, 0.0),
+            let (met, opacity, t) = match (object, near) {
+                (Some(hit), _) => (Met::Object(hit), hit.opacity, hit.t),
+                (None, Some(hit)) => (Met::Environment(hit), hit.opacity, hit.t),
+                (None, None) => (Met::Nothing, 1.0, 0.0),
             };
+            let part = radiance(met, context);
             sum.value += part.value * (clear * opacity);
             sum.coverage += part.coverage * (clear * opacity);
             clear *= 1.0 - opacity;
@@ -225,10 +263,40 @@ impl<'a> Gdibl<'a> {
             return Radiance { value: emission, coverage: 0.0 };
         }
         // ∫ albedo/π · L · cosθ dω with density cosθ/π: albedo × L of one direction.
+        let first = walk.objects == 0;
         let walk = Walk { step: walk.step + 1, objects: walk.objects + 1, ..walk };
+        let start = objects.leave(hit);
         let direction = cosine_hemisphere(hit.normal, context.stream.point(context.sample, walk.step));
-        let arriving = self.radiance_along(objects.leave(hit), direction, walk, context);
-        Radiance { value: emission + albedo * arriving.value, coverage: arriving.coverage }
+        let arriving = self.radiance_along(start, direction, walk, context);
+        let mut value = emission + albedo * arriving.value * self.cosine_weight(start, hit.normal, direction);
+        // Once per ray: at every object the rays would double.
+        if first && let Some((direction, weight)) = self.toward_light(start, hit.normal, walk, context) {
+            value += albedo * self.radiance_along(start, direction, walk, context).value * weight;
+        }
+        Radiance { value, coverage: arriving.coverage }
+    }
+
+    /// Next-event estimation: a direction from a surface toward what is bright, and the weight of its light,
+    /// cosθ/π over the densities of all that could have found it. `None` where nothing is bright, or not asked for.
+    ///
+    /// At 64 samples per pixel, pictures of the box with its spheres were off by 40 % by cosine alone, and by 9 % with this.
+    fn toward_light(&self, start: Vec3, normal: Vec3, walk: Walk, context: &PathContext) -> Option<(Vec3, f32)> {
+        if !self.settings.next_event {
+            return None;
+        }
+        let point = context.stream.point(context.sample, NEXT_EVENT + walk.step);
+        let (direction, density) = self.guide.propose_bright(start, point)?;
+        let by_cosine = direction.dot(normal) * FRAC_1_PI;
+        (by_cosine > 0.0).then(|| (direction, by_cosine / (by_cosine + density)))
+    }
+
+    /// Weight of light that a direction by cosine found: 1, less what [`Gdibl::toward_light`] has of it.
+    fn cosine_weight(&self, start: Vec3, normal: Vec3, direction: Vec3) -> f32 {
+        if !self.settings.next_event {
+            return 1.0;
+        }
+        let by_cosine = direction.dot(normal) * FRAC_1_PI;
+        by_cosine / (by_cosine + self.guide.bright_density(start, direction))
     }
 
     /// 3. Environment geometry: what it sends out itself, if that is known, and what probes have seen of it.
@@ -338,7 +406,6 @@ impl<'a> Gdibl<'a> {
     /// (differential rendering). Walls around a sphere are darker than the empty box's that the probes saw: without
     /// this, irradiance on the three spheres of the box is 10 % too bright; with it, 1 % (`tools/sphere_table`).
     fn effect_of_objects(&self, hit: &Hit, walk: Walk, context: &mut PathContext) -> Vec3 {
-        let objects = self.objects.as_ref().expect("only scene geometry has an effect");
         let environment = self.environment.as_ref().expect("the environment was hit");
         let albedo = environment.albedo(self.scene, hit);
         let walk = Walk { step: walk.step + 1, ..walk };
@@ -351,11 +418,30 @@ impl<'a> Gdibl<'a> {
         let albedo = albedo / survival;
         let start = environment.leave(hit);
         let direction = cosine_hemisphere(hit.normal, context.stream.point(context.sample, walk.step));
+        let mut effect = match self.change_along(start, direction, walk, context) {
+            Change::Object { difference, share } => {
+                albedo * difference * (share * self.cosine_weight(start, hit.normal, direction))
+            }
+            Change::Behind(behind) => albedo * self.effect_of_objects(&behind, walk, context),
+            Change::None => Vec3::ZERO,
+        };
+        if let Some((direction, weight)) = self.toward_light(start, hit.normal, walk, context)
+            && let Change::Object { difference, share } = self.change_along(start, direction, walk, context)
+        {
+            effect += albedo * difference * (share * weight);
+        }
+        effect
+    }
+
+    /// What scene geometry changes in the light that arrives at an environment point `start` from `direction`.
+    fn change_along(&self, start: Vec3, direction: Vec3, walk: Walk, context: &mut PathContext) -> Change {
+        let objects = self.objects.as_ref().expect("only scene geometry has an effect");
+        let environment = self.environment.as_ref().expect("the environment was hit");
         context.rays += 1;
         let behind = environment.closest(self.scene, start, direction, 0.0, f32::INFINITY);
         let limit = behind.map_or(f32::INFINITY, |hit| hit.t);
         let Some(object) = objects.closest(self.scene, start, direction, 0.0, limit) else {
-            return behind.map_or(Vec3::ZERO, |hit| albedo * self.effect_of_objects(&hit, walk, context));
+            return behind.map_or(Change::None, Change::Behind);
         };
         let with = self.object_radiance(&object, walk, context);
         let without = match behind {
@@ -363,7 +449,8 @@ impl<'a> Gdibl<'a> {
             None => self.escaping_radiance(direction, context),
         };
         // Where one of the two is unknown, so is the difference.
-        albedo * (with.value - without.value) * (object.opacity * with.coverage.min(without.coverage))
+        let share = object.opacity * with.coverage.min(without.coverage);
+        Change::Object { difference: with.value - without.value, share }
     }
 
     /// 4. Nothing hit: the distant panorama, or else the probes that look out in the same direction.
@@ -397,6 +484,32 @@ impl RadianceFunction for Gdibl<'_> {
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         self.radiance_along(origin, direction, Walk::default(), context)
+    }
+
+    fn look(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        context: &mut PathContext,
+        shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
+    ) -> Radiance {
+        let walk = Walk::default();
+        self.sum_along(origin, direction, context, |met, context| match met {
+            Met::Object(hit) => {
+                let surfaces = self.objects.as_ref().expect("an object was hit");
+                let shaded = shade(&Seen { scene: self.scene, surfaces, hit: &hit, direction }, context);
+                shaded.unwrap_or_else(|| self.object_radiance(&surfaces.smooth(self.scene, hit), walk, context))
+            }
+            Met::Environment(hit) => {
+                let mut part = self.environment_radiance(&hit, origin, context);
+                // The point's own walk: texels, good enough for what comes by way of another surface, would be seen.
+                if self.effects.is_some() {
+                    part.value += self.effect_of_objects(&hit, walk, context) * part.coverage;
+                }
+                part
+            }
+            Met::Nothing => self.escaping_radiance(direction, context),
+        })
     }
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {

@@ -85,6 +85,31 @@ impl Guide {
         self.mixed(self.sky_density(direction), || self.emitter_density(origin, direction))
     }
 
+    /// A direction toward what is bright, none of them uniform, and its density per steradian (infinite where it is none
+    /// after all: weigh it by nothing). `None` where nothing is bright.
+    pub fn propose_bright(&self, origin: Vec3, [first, second]: [f32; 2]) -> Option<(Vec3, f32)> {
+        let [uniform_end, _] = self.ends;
+        if uniform_end == 1.0 {
+            return None;
+        }
+        let (direction, weight) = self.propose(origin, [uniform_end + first * (1.0 - uniform_end), second]);
+        let density = if weight > 0.0 { self.bright_density(origin, direction) } else { f32::INFINITY };
+        Some((direction, density))
+    }
+
+    /// Density per steradian with which [`Guide::propose_bright`] returns `direction`; 0 where nothing is bright.
+    pub fn bright_density(&self, origin: Vec3, direction: Vec3) -> f32 {
+        let [uniform_end, sky_end] = self.ends;
+        let mut density = 0.0;
+        if sky_end > uniform_end {
+            density += (sky_end - uniform_end) / (1.0 - uniform_end) * self.sky_density(direction);
+        }
+        if sky_end < 1.0 {
+            density += (1.0 - sky_end) / (1.0 - uniform_end) * self.emitter_density(origin, direction);
+        }
+        density
+    }
+
     fn mixed(&self, sky: f32, emitters: impl FnOnce() -> f32) -> f32 {
         let [uniform_end, sky_end] = self.ends;
         let mut density = uniform_end * UNIFORM + (sky_end - uniform_end) * sky;
@@ -170,6 +195,31 @@ mod tests {
             let sum: f64 = directions.iter().map(|d| f64::from(guide.density(Vec3::ZERO, *d))).sum();
             let integral = sum * 4.0 * std::f64::consts::PI / directions.len() as f64;
             assert!((integral - 1.0).abs() < 0.01, "guide {number}: {integral}");
+        }
+    }
+
+    #[test]
+    fn bright_density_integrates_to_one_and_is_that_of_the_samples() {
+        for (number, guide) in guides().iter().enumerate() {
+            let stream = Stream::new(Sampler::Sobol, 0, 0, 0);
+            if number == 0 {
+                assert_eq!(guide.propose_bright(Vec3::ZERO, stream.point(0, 0)), None, "nothing is bright");
+                assert_eq!(guide.bright_density(Vec3::ZERO, Vec3::Y), 0.0);
+                continue;
+            }
+            // Of the mixture with uniform directions it is what is left.
+            for direction in fibonacci_sphere(1000) {
+                let mixed = guide.density(Vec3::ZERO, direction);
+                let own = UNIFORM_SHARE * UNIFORM + (1.0 - UNIFORM_SHARE) * guide.bright_density(Vec3::ZERO, direction);
+                assert!((mixed / own - 1.0).abs() < 1e-5, "guide {number}: {mixed} {own}");
+            }
+            // Most of its samples find a density that is not the uniform's.
+            let bright = (0..1000).filter(|&sample| {
+                let (direction, density) = guide.propose_bright(Vec3::ZERO, stream.point(sample, 0)).unwrap();
+                assert_eq!(density, guide.bright_density(Vec3::ZERO, direction));
+                density > UNIFORM
+            });
+            assert!(bright.count() > 500, "guide {number}");
         }
     }
 

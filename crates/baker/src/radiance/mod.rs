@@ -7,6 +7,7 @@ pub mod gdibl;
 mod guide;
 pub mod path;
 mod punctual;
+mod seen;
 mod sky;
 
 use glam::Vec3;
@@ -14,6 +15,7 @@ use glam::Vec3;
 use crate::sampling::Stream;
 use crate::trace::Frame;
 pub use guide::Guide;
+pub use seen::Seen;
 pub use sky::Distant;
 
 /// Light that arrives at a point, by direction. GDIBL and path tracing differ in this alone.
@@ -27,6 +29,17 @@ pub trait RadianceFunction: Sync {
     /// Radiance that arrives at `origin` (trace space) from the unit `direction`. Pair 0 of the context's random numbers
     /// has chosen the direction; the function takes its own from the later ones.
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance;
+
+    /// The same for a ray of a camera. `shade` is asked first about every surface that the ray meets, as far as light is
+    /// computed there: not about environment geometry that shows its probes. Where it has no answer, the function has, by the
+    /// shading normal of that surface.
+    fn look(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        context: &mut PathContext,
+        shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
+    ) -> Radiance;
 
     /// Calls `add(direction, irradiance)` for every punctual light that is seen from `origin`: the direct light, of which
     /// [`RadianceFunction::radiance`] tells nothing.

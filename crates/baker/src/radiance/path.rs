@@ -14,7 +14,7 @@ use super::emitters::{Receiver, solid_angle_density};
 use super::guide::Guide;
 use super::punctual::{Arriving, Punctual};
 use super::sky::{Distant, Sky};
-use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction};
+use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
 use crate::sampling::cosine_hemisphere;
 use crate::scene::{Role, Scene};
@@ -293,6 +293,24 @@ impl RadianceFunction for Path<'_> {
         let first = self.meet(origin, direction, context);
         context.backs += u64::from(first.is_some_and(|hit| hit.back));
         Radiance::covered(self.light(direction, first, context))
+    }
+
+    fn look(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        context: &mut PathContext,
+        shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
+    ) -> Radiance {
+        let first = self.meet(origin, direction, context);
+        let (Some(hit), Some(surfaces)) = (first, &self.surfaces) else {
+            return Radiance::covered(self.light(direction, first, context));
+        };
+        let shaded = shade(&Seen { scene: self.scene, surfaces, hit: &hit, direction }, context);
+        shaded.unwrap_or_else(|| {
+            let first = surfaces.smooth(self.scene, hit);
+            Radiance::covered(self.light(direction, Some(first), context))
+        })
     }
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {

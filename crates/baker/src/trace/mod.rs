@@ -224,6 +224,29 @@ impl Surfaces {
         &scene.materials[self.mesh(scene, triangle).material as usize]
     }
 
+    /// The mesh of a triangle.
+    pub fn mesh<'a>(&self, scene: &'a Scene, triangle: u32) -> &'a Mesh {
+        &scene.meshes[self.sources[triangle as usize].mesh as usize]
+    }
+
+    /// Unit normal as shading sees it, on the side of `hit.normal`: between the corners' where the mesh is smooth, else
+    /// the geometric one.
+    pub fn shading_normal(&self, scene: &Scene, hit: &Hit) -> Vec3 {
+        let mesh = self.mesh(scene, hit.triangle);
+        if !mesh.smooth {
+            return hit.normal;
+        }
+        let normal = self.interpolate(scene, hit.triangle, hit.barycentric, &mesh.normals);
+        let facing = if normal.dot(hit.normal) < 0.0 { -normal } else { normal };
+        facing.try_normalize().unwrap_or(hit.normal)
+    }
+
+    /// The hit with its normal as shading sees it. Light from under the triangle, which the normal then lets in at grazing
+    /// angles, is the object's own.
+    pub fn smooth(&self, scene: &Scene, hit: Hit) -> Hit {
+        Hit { normal: self.shading_normal(scene, &hit), ..hit }
+    }
+
     /// Diffuse albedo, linear RGB: base colour × texture × vertex colour × (1 - metallic); black where unlit.
     pub fn albedo(&self, scene: &Scene, hit: &Hit) -> Vec3 {
         let material = self.material(scene, hit.triangle);
@@ -257,7 +280,8 @@ impl Surfaces {
         self.opacity_at(scene, hit.triangle, Vec2::new(hit.v, hit.w))
     }
 
-    fn base_color(&self, scene: &Scene, triangle: u32, barycentric: Vec2) -> Vec4 {
+    /// Base colour × texture × vertex colour, linear, alpha last.
+    pub fn base_color(&self, scene: &Scene, triangle: u32, barycentric: Vec2) -> Vec4 {
         let mesh = self.mesh(scene, triangle);
         let material = &scene.materials[mesh.material as usize];
         let mut color = material.base_color * self.texel(scene, triangle, barycentric, material.base_color_texture);
@@ -292,10 +316,6 @@ impl Surfaces {
         let ids = mesh.triangles[self.sources[triangle as usize].triangle as usize];
         let [a, b, c] = ids.map(|i| values[i as usize]);
         a * (1.0 - barycentric.x - barycentric.y) + b * barycentric.x + c * barycentric.y
-    }
-
-    fn mesh<'a>(&self, scene: &'a Scene, triangle: u32) -> &'a Mesh {
-        &scene.meshes[self.sources[triangle as usize].mesh as usize]
     }
 }
 

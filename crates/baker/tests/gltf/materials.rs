@@ -15,7 +15,8 @@ fn material_factors_are_read() {
     level.json["materials"] = json!([
         {
             "name": "lamp", "alphaMode": "MASK", "alphaCutoff": 0.25, "doubleSided": true,
-            "pbrMetallicRoughness": { "baseColorFactor": [0.1, 0.2, 0.3, 0.4], "metallicFactor": 0.5 },
+            "pbrMetallicRoughness":
+                { "baseColorFactor": [0.1, 0.2, 0.3, 0.4], "metallicFactor": 0.5, "roughnessFactor": 0.25 },
             "emissiveFactor": [1, 0.5, 0],
             "extensions": { "KHR_materials_emissive_strength": { "emissiveStrength": 8 } },
         },
@@ -29,7 +30,8 @@ fn material_factors_are_read() {
     let [default, lamp, opaque, glass, unlit, old, wild] = &scene.materials[..] else { panic!() };
     assert_eq!((default.base_color, default.metallic, default.alpha), (Vec4::ONE, 1.0, Alpha::Opaque));
     assert_eq!((lamp.name.as_str(), lamp.alpha, lamp.double_sided), ("lamp", Alpha::Mask(0.25), true));
-    assert_eq!((lamp.base_color, lamp.metallic), (Vec4::new(0.1, 0.2, 0.3, 0.4), 0.5));
+    assert_eq!((lamp.base_color, lamp.metallic, lamp.roughness), (Vec4::new(0.1, 0.2, 0.3, 0.4), 0.5, 0.25));
+    assert_eq!((default.roughness, opaque.roughness), (1.0, 1.0));
     assert_eq!(lamp.emission, Vec3::new(8., 4., 0.));
     assert_eq!((opaque.alpha, opaque.base_color.w), (Alpha::Opaque, 1.0));
     assert_eq!((glass.alpha, glass.base_color.w), (Alpha::Blend, 0.25));

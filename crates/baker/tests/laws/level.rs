@@ -6,8 +6,10 @@ use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::panorama::Panorama;
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
+use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
-use gdibl_runtime::RadianceSh;
+use gdibl_baker::volume::{PackSettings, Precision, pack};
+use gdibl_runtime::{RadianceSh, Volume};
 use glam::{DVec3, Quat, Vec3};
 use std::sync::atomic::AtomicBool;
 
@@ -99,6 +101,37 @@ pub fn bake_points(function: &Gdibl, points: &[DVec3], settings: &BakeSettings) 
     let nodes = Nodes::Points(points.to_vec());
     let cancel = AtomicBool::new(false);
     bake(&nodes, function, settings, &Control { cancel: &cancel, progress: &|_, _| {} }).expect("nobody interrupts")
+}
+
+/// What an engine would load of a bake: packed in single floats and parsed again.
+pub fn volume_of(nodes: &Nodes, function: &Gdibl, settings: &BakeSettings) -> Volume {
+    let cancel = AtomicBool::new(false);
+    let control = Control { cancel: &cancel, progress: &|_, _| {} };
+    let baked = bake(nodes, function, settings, &control).expect("nobody interrupts");
+    let none = String::new;
+    let settings = SettingsRecord {
+        writer: none(),
+        level: none(),
+        method: none(),
+        blend: none(),
+        scene: none(),
+        sampler: none(),
+        samples: 0,
+        target_error: None,
+        seed: 0,
+    };
+    let statistics = StatisticsRecord {
+        nodes: 0,
+        nodes_valid: 0,
+        rays: 0,
+        samples: 0,
+        relative_error: None,
+        coverage: 0.0,
+        findings: Vec::new(),
+    };
+    let records = Records { settings, plan: Vec::new(), probes: Vec::new(), statistics };
+    let bytes = pack(nodes, &baked, &records, PackSettings { precision: Precision::F32, zstd: false });
+    Volume::parse(&bytes).expect("what was packed parses")
 }
 
 /// Coefficients of a node.

@@ -1,8 +1,10 @@
 //! Laws that every bake obeys, whatever the level: numbers come after.
 
 mod blending;
+mod gather;
 mod geometry;
 mod level;
 mod light;
+mod render;
 mod statistics;
 mod sun;

@@ -193,6 +193,8 @@ fn read_one(document: &Document, index: usize, json: &json::Material, findings: 
         name: json.name.clone().unwrap_or_default(),
         base_color: Vec4::from(factor),
         metallic,
+        // No finding where it is out of range: bakes, which store findings, do not use it.
+        roughness: pbr.roughness_factor.0.clamp(0.0, 1.0),
         emission,
         alpha,
         double_sided: json.double_sided,

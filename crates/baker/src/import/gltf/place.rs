@@ -22,6 +22,7 @@ pub(super) fn place(local: &LocalPrimitive, transform: &DAffine3, frame: Mesh) -
         uvs: local.uvs.clone(),
         colors: local.colors.clone(),
         triangles: local.triangles.clone(),
+        smooth: !local.normals.is_empty(),
         ..frame
     };
 
@@ -134,7 +135,7 @@ mod tests {
             let (mesh, losses) = place(&local, &transform, Mesh::default());
             let front = DVec3::Z * scale.z.signum();
             assert_eq!(losses, Losses::default());
-            assert!((geometric_normal(&mesh) - front).length() < 1e-12, "{scale}");
+            assert!(mesh.smooth && (geometric_normal(&mesh) - front).length() < 1e-12, "{scale}");
             assert!((mesh.normals[0].as_dvec3() - front).length() < 1e-6, "{scale}: {}", mesh.normals[0]);
         }
     }
@@ -179,6 +180,7 @@ mod tests {
         };
         let (mesh, _) = place(&local, &DAffine3::IDENTITY, Mesh::default());
         assert!((mesh.normals[0] - Vec3::new(1.0, 0.0, 3.0).normalize()).length() < 1e-6);
+        assert!(!mesh.smooth, "computed normals are not for shading");
     }
 
     #[test]

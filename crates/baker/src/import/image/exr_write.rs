@@ -1,4 +1,5 @@
-//! Writes panoramas as OpenEXR: R, G, B, optional Z, ZIP-compressed, with pose and layout in the header.
+//! Writes panoramas as OpenEXR: R, G, B, optional Z, ZIP-compressed, with pose and layout in the header. And pictures,
+//! which have neither.
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -7,11 +8,13 @@ use ::exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Layer, write:
 use ::exr::meta::attribute::{AttributeValue, EnvironmentMap, LineOrder, Text};
 use ::exr::meta::header::LayerAttributes;
 use ::exr::prelude::{Blocks, Compression, SmallVec};
+use glam::DVec3;
 use half::f16;
 
 use super::exr::convert_error;
 use super::pose::{self, Pose};
 use crate::panorama::{Image, Mapping};
+use crate::whole::create_beside;
 use crate::{Error, Finding, Result};
 
 /// How R, G and B are stored. `Z` is always 32-bit.
@@ -35,8 +38,6 @@ pub fn write_exr(
     mapping: Mapping,
     format: SampleFormat,
 ) -> Result<Vec<Finding>> {
-    assert_eq!(image.pixels.len(), image.width * image.height, "pixels of the image");
-    assert!(!image.pixels.is_empty(), "an image needs pixels");
     let environment_map = match mapping {
         Mapping::LatLong => Some(EnvironmentMap::LatitudeLongitude),
         Mapping::CubeExr => Some(EnvironmentMap::Cube),
@@ -57,6 +58,25 @@ pub fn write_exr(
     if let Some(rotation) = pose.rotation {
         attributes.other.insert(Text::from(pose::ROTATION), pose::rotation_value(rotation));
     }
+    write_layer(path, image, attributes, pose.position, format)?;
+    Ok(clipping(image, format))
+}
+
+/// Writes a picture that is no panorama, exact: nothing in the header says how it maps directions.
+pub fn write_exr_picture(path: &Path, image: &Image) -> Result<()> {
+    write_layer(path, image, LayerAttributes::default(), None, SampleFormat::F32)
+}
+
+/// The whole file or none.
+fn write_layer(
+    path: &Path,
+    image: &Image,
+    attributes: LayerAttributes,
+    position: Option<DVec3>,
+    format: SampleFormat,
+) -> Result<()> {
+    assert_eq!(image.pixels.len(), image.width * image.height, "pixels of the image");
+    assert!(!image.pixels.is_empty(), "an image needs pixels");
     let layer = Layer::new(
         (image.width, image.height),
         attributes,
@@ -64,18 +84,17 @@ pub fn write_exr(
         AnyChannels::sort(channels(image, format)),
     );
     let mut file = ::exr::image::Image::from_layer(layer);
-    if let Some(position) = pose.position {
+    if let Some(position) = position {
         file.attributes.other.insert(Text::from(pose::POSITION), pose::position_value(position));
     }
 
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut temporary = create_beside(folder).map_err(|e| Error::io(path, e))?;
+    let mut temporary = create_beside(path)?;
     let mut writer = BufWriter::new(temporary.as_file_mut());
     file.write().to_buffered(&mut writer).map_err(|e| convert_error(path, "writing", e))?;
     writer.flush().map_err(|e| Error::io(path, e))?;
     drop(writer);
     temporary.persist(path).map_err(|e| Error::io(path, e.error))?;
-    Ok(clipping(image, format))
+    Ok(())
 }
 
 fn channels(image: &Image, format: SampleFormat) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
@@ -105,16 +124,4 @@ fn clipping(image: &Image, format: SampleFormat) -> Vec<Finding> {
     }
     let message = format!("{clipped} pixels are brighter than 65504, where half floats end, and were cut off");
     vec![Finding::new("half-float-clipping", clipped as u64, message)]
-}
-
-/// A temporary file that will have the permissions of an ordinary one (temporary files are private by default).
-fn create_beside(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".gdibl-").suffix(".tmp");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666)); // less the umask
-    }
-    builder.tempfile_in(folder)
 }

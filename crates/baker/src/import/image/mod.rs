@@ -1,4 +1,4 @@
-//! Reads panoramas: OpenEXR and Radiance `.hdr`, told apart by their first bytes; writes OpenEXR.
+//! Reads panoramas: OpenEXR and Radiance `.hdr`, told apart by their first bytes; writes OpenEXR, and PNG to look at.
 //!
 //! What comes out is checked: finite radiance >= 0, distances >= 0 or infinite, sizes within [`MAX_PIXELS`]. A file
 //! is not trusted: sizes are capped before memory is taken, and a panic of a decoder is an invalid file.
@@ -19,6 +19,7 @@
 mod exr;
 mod exr_write;
 mod hdr;
+mod png_write;
 mod pose;
 mod repair;
 
@@ -26,7 +27,8 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
-pub use self::exr_write::{SampleFormat, write_exr};
+pub use self::exr_write::{SampleFormat, write_exr, write_exr_picture};
+pub use self::png_write::write_png;
 pub use self::pose::Pose;
 pub use crate::panorama::Image;
 use crate::panorama::Mapping;

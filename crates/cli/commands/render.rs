@@ -1,0 +1,380 @@
+//! `gdibl render`: a picture of a level in its probes' light.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use gdibl_baker::import::image::{MAX_PIXELS, Pose, SampleFormat, write_exr, write_exr_picture, write_png};
+use gdibl_baker::panorama::{Image, Mapping};
+use gdibl_baker::radiance::RadianceFunction;
+use gdibl_baker::radiance::blend::BlendRule;
+use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
+use gdibl_baker::radiance::path::Path as Paths;
+use gdibl_baker::render::{Camera, Picture, RenderSettings, render, tone};
+use gdibl_baker::scene::{Role, Scene};
+use gdibl_baker::{Control, Finding};
+use gdibl_runtime::Volume;
+use glam::DVec3;
+use serde::Serialize;
+
+use crate::captures::{capture_missing, say};
+use crate::config::{
+    CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, gdibl_settings, parse_blend, parse_method,
+    parse_position, path_settings, set_threads,
+};
+use crate::fault::Fault;
+use crate::inputs::Inputs;
+use crate::progress::{Progress, cancel_on_interrupt};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// LEVEL.glb, LEVEL.gltf or BAKE.toml
+    input: PathBuf,
+    /// The picture to write: .png (tone-mapped, sRGB) or .exr (linear radiance) [default: beside the input, ending in
+    /// .png]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    camera: CameraFlags,
+    /// Pixels [default: 640x360; a panorama 512x256]
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<[usize; 2]>,
+    /// Camera rays per pixel [default: 64]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    samples: Option<u32>,
+    /// Scene geometry, and mirrors, that light may come by way of; what is left then is black [default: 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=64))]
+    depth: Option<u32>,
+    /// Light scene geometry from this volume, as an engine would, instead of by rays
+    #[arg(long, value_name = "FILE.gdibl")]
+    volume: Option<PathBuf>,
+    /// gdibl, or path: path tracing, the ground truth, which needs no probe [default: gdibl]
+    #[arg(long, value_name = "NAME", value_parser = parse_method)]
+    method: Option<Method>,
+    /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable [default: those that the input
+    /// names, or, if there are none, captured ones]
+    #[arg(long, value_name = "PATH")]
+    probes: Vec<PathBuf>,
+    /// Panorama at infinity: the sky, the street outside
+    #[arg(long, value_name = "IMAGE")]
+    distant: Option<PathBuf>,
+    /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
+    /// [default: footprint:4]
+    #[arg(long, value_name = "RULE", value_parser = parse_blend)]
+    blend: Option<BlendRule>,
+    /// Stops by which a PNG is brightened (negative: darkened) [default: so that the log-mean is middle grey]
+    #[arg(long, value_name = "STOPS", value_parser = parse_stops, allow_hyphen_values = true)]
+    exposure: Option<f32>,
+    /// Replace NaN, infinite and negative pixels instead of refusing the image
+    #[arg(long)]
+    repair_pixels: bool,
+    /// Same seed, same bytes [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Worker threads; the result does not depend on it [default: all]
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    /// No progress bar
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(clap::Args)]
+struct CameraFlags {
+    /// Where the camera stands, world metres [default: just inside a corner of the level's box]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true)]
+    eye: Option<[f64; 3]>,
+    /// What it looks at, world metres [default: the middle of the level's box]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true)]
+    target: Option<[f64; 3]>,
+    /// Vertical field of view, degrees [default: 60]
+    #[arg(long, value_name = "DEGREES", value_parser = parse_fov)]
+    fov: Option<f64>,
+    /// A lat-long panorama from this place instead, in the world's axes; as EXR it is a probe with its pose
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true,
+          conflicts_with_all = ["eye", "target", "fov"])]
+    panorama: Option<[f64; 3]>,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    output: String,
+    size: [usize; 2],
+    camera: CameraReport,
+    method: &'static str,
+    samples: u32,
+    /// Of a PNG.
+    exposure_stops: Option<f32>,
+    /// Share of the light that nothing tells of; it is black.
+    uncovered: f64,
+    rays: u64,
+    wall_seconds: f64,
+    cpu_seconds: f64,
+    seed: u64,
+    findings: Vec<Finding>,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum CameraReport {
+    Pinhole { eye: [f64; 3], target: [f64; 3], fov: f64 },
+    Panorama { panorama: [f64; 3] },
+}
+
+/// File types, told by the output's extension.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum FileType {
+    Png,
+    Exr,
+}
+
+pub fn run(arguments: Arguments) -> Result<(), Fault> {
+    let started = Instant::now();
+    let cancel = cancel_on_interrupt();
+    let output = arguments.output.clone().unwrap_or_else(|| arguments.input.with_extension("png"));
+    let file_type = file_type(&output)?;
+    if file_type == FileType::Exr && arguments.exposure.is_some() {
+        return Err(Fault::Usage("--exposure: an EXR holds radiance as it is; write a .png, or leave it out".into()));
+    }
+    let config = config_of(&arguments)?;
+    set_threads(config.quality.threads)?;
+    let method = config.quality.method.unwrap_or_default();
+
+    // Everything is read and refused before the first ray.
+    let volume = arguments.volume.as_deref().map(read_volume).transpose()?;
+    let mut inputs = Inputs::read(&config, config.textures(true))?;
+    let camera = camera_of(&arguments.camera, &inputs.scene)?;
+    let settings = settings_of(&arguments, &config, &camera);
+    inputs.warn();
+    if let Some(volume) = &volume {
+        warn_of_volume(volume, &inputs.scene);
+    }
+    inputs.check_light(&config, method)?;
+    super::check_output(&output)?;
+    if method == Method::Gdibl && inputs.lacks_probes() {
+        capture_missing(&config, &mut inputs, &cancel, arguments.quiet)?;
+    }
+
+    let job = Job { volume: volume.as_ref(), camera: &camera, settings: &settings, cancel: &cancel };
+    let picture = match method {
+        Method::Gdibl => {
+            let settings = GdiblSettings { next_event: true, ..gdibl_settings(&config.quality, inputs.captured) };
+            job.render(&Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), settings), arguments.quiet)?
+        }
+        Method::Path => {
+            let settings = path_settings(&config.quality)?;
+            job.render(&Paths::new(&inputs.scene, inputs.distant.as_ref(), settings), arguments.quiet)?
+        }
+    };
+    let exposure_stops = match file_type {
+        FileType::Png => Some(arguments.exposure.unwrap_or_else(|| tone::automatic_exposure_stops(&picture.image))),
+        FileType::Exr => None,
+    };
+    if cancel.load(Ordering::Relaxed) {
+        return Err(Fault::Interrupted);
+    }
+    write(&output, &picture.image, &camera, exposure_stops)?;
+
+    let report = Report {
+        output: output.display().to_string(),
+        size: [settings.width, settings.height],
+        camera: CameraReport::of(&camera),
+        method: match method {
+            Method::Gdibl => "gdibl",
+            Method::Path => "path",
+        },
+        samples: settings.samples,
+        exposure_stops,
+        uncovered: picture.uncovered,
+        rays: picture.rays,
+        wall_seconds: started.elapsed().as_secs_f64(),
+        cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
+        seed: settings.seed,
+        findings: inputs.findings,
+    };
+    if arguments.json { super::print_json(&report) } else { print(&report, arguments.exposure.is_none()) }
+}
+
+/// The command line and BAKE.toml together. A picture's samples and depth are its own.
+fn config_of(arguments: &Arguments) -> Result<Config, Fault> {
+    let files = FileFlags {
+        input: arguments.input.clone(),
+        // The volume's: captured probes lie beside it, for bakes and for pictures from all sides.
+        output: None,
+        probes: arguments.probes.clone(),
+        distant: arguments.distant.clone(),
+        environment: None,
+    };
+    let quality = QualityFlags {
+        method: arguments.method,
+        scene: arguments.depth.map(SceneHit::Recurse),
+        blend: arguments.blend,
+        repair_pixels: arguments.repair_pixels.then_some(true),
+        seed: arguments.seed,
+        threads: arguments.threads,
+        ..QualityFlags::default()
+    };
+    Config::new(files, GridFlags::default(), quality, CaptureFlags::default())
+}
+
+fn settings_of(arguments: &Arguments, config: &Config, camera: &Camera) -> RenderSettings {
+    let defaults = RenderSettings::default();
+    let default_size = match camera {
+        Camera::Pinhole { .. } => [defaults.width, defaults.height],
+        Camera::Panorama { .. } => [512, 256],
+    };
+    let [width, height] = arguments.size.unwrap_or(default_size);
+    RenderSettings {
+        width,
+        height,
+        samples: arguments.samples.unwrap_or(defaults.samples),
+        depth: arguments.depth.unwrap_or(defaults.depth),
+        seed: config.quality.seed.unwrap_or(defaults.seed),
+        sampler: config.quality.sampler.unwrap_or(defaults.sampler),
+    }
+}
+
+fn camera_of(flags: &CameraFlags, scene: &Scene) -> Result<Camera, Fault> {
+    if let Some(position) = flags.panorama {
+        return Ok(Camera::Panorama { position: position.into() });
+    }
+    let (min, max) = scene.bounds(|_| true).unwrap_or_default();
+    let mut camera = Camera::inside(min, max, flags.fov.unwrap_or(60.0));
+    if let Camera::Pinhole { eye, target, .. } = &mut camera {
+        *eye = flags.eye.map_or(*eye, DVec3::from);
+        *target = flags.target.map_or(*target, DVec3::from);
+        if (*target - *eye).try_normalize().is_none() {
+            return Err(Fault::Usage(format!("the camera at {eye} looks at itself; give --eye and --target apart")));
+        }
+    }
+    Ok(camera)
+}
+
+/// What the steps of a picture share.
+struct Job<'a> {
+    volume: Option<&'a Volume>,
+    camera: &'a Camera,
+    settings: &'a RenderSettings,
+    cancel: &'a AtomicBool,
+}
+
+impl Job<'_> {
+    fn render(&self, function: &impl RadianceFunction, quiet: bool) -> Result<Picture, Fault> {
+        let progress = Progress::new("pixels", (self.settings.width * self.settings.height) as u64, quiet);
+        let control = Control { cancel: self.cancel, progress: &|pixels, rays| progress.advance(pixels, rays) };
+        let picture = render(function, self.volume, self.camera, self.settings, &control);
+        let picture = picture.map_err(|_| Fault::Interrupted)?;
+        progress.finish();
+        if picture.uncovered >= 1.0 {
+            return Err(Fault::Bound(
+                "the camera sees nothing that a probe or the distant panorama has seen, so nothing was written; does it \
+                 stand in a wall, or outside of the level? Are the probes' positions in the level's metres?"
+                    .into(),
+            ));
+        }
+        Ok(picture)
+    }
+}
+
+fn read_volume(path: &Path) -> Result<Volume, Fault> {
+    Volume::parse(&super::read_volume_bytes(path)?).map_err(|error| super::volume_fault(path, &error))
+}
+
+/// Says where the volume has nothing to do, or not everything.
+fn warn_of_volume(volume: &Volume, scene: &Scene) {
+    let Some((min, max)) = scene.bounds(|mesh| mesh.role == Role::Scene) else {
+        return say("--volume lights scene geometry (gdibl_role = \"scene\"), and the level has none");
+    };
+    let header = volume.header();
+    let inside = DVec3::from(header.min).cmple(min).all() && DVec3::from(header.max).cmpge(max).all();
+    if !inside {
+        say("scene geometry reaches out of the volume's box; there it gets the nearest light of the box");
+    }
+}
+
+fn file_type(output: &Path) -> Result<FileType, Fault> {
+    match output.extension().unwrap_or_default().to_ascii_lowercase().to_str() {
+        Some("png") => Ok(FileType::Png),
+        Some("exr") => Ok(FileType::Exr),
+        _ => Err(Fault::Usage(format!("{}: expected a picture ending in .png or .exr", output.display()))),
+    }
+}
+
+/// A PNG where there is an exposure for it, else an EXR.
+fn write(output: &Path, image: &Image, camera: &Camera, exposure_stops: Option<f32>) -> Result<(), Fault> {
+    let written = match (exposure_stops, camera) {
+        (Some(stops), _) => write_png(output, image.width, image.height, &tone::display(image, stops)),
+        (None, Camera::Pinhole { .. }) => write_exr_picture(output, image),
+        (None, Camera::Panorama { position }) => {
+            let pose = Pose { position: Some(*position), rotation: None };
+            write_exr(output, image, &pose, Mapping::LatLong, SampleFormat::F32).map(drop)
+        }
+    };
+    written.map_err(Fault::from_writing)
+}
+
+fn parse_size(text: &str) -> Result<[usize; 2], String> {
+    let numbers = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    let size = numbers.filter(|[w, h]: &[usize; 2]| *w > 0 && w.checked_mul(*h).is_some_and(|n| n > 0));
+    let size = size.ok_or("expected WIDTHxHEIGHT, both above 0, such as 640x360")?;
+    if size[0] * size[1] > MAX_PIXELS {
+        return Err(format!("expected at most {MAX_PIXELS} pixels (16384 x 8192)"));
+    }
+    Ok(size)
+}
+
+fn parse_fov(text: &str) -> Result<f64, String> {
+    let degrees = text.parse().ok().filter(|degrees| *degrees > 0.0 && *degrees < 180.0);
+    degrees.ok_or("expected degrees between 0 and 180".into())
+}
+
+fn parse_stops(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|stops: &f32| stops.abs() <= 100.0).ok_or("expected stops from -100 to 100".into())
+}
+
+impl CameraReport {
+    fn of(camera: &Camera) -> CameraReport {
+        match *camera {
+            Camera::Pinhole { eye, target, vertical_fov_degrees: fov } => {
+                CameraReport::Pinhole { eye: eye.into(), target: target.into(), fov }
+            }
+            Camera::Panorama { position } => CameraReport::Panorama { panorama: position.into() },
+        }
+    }
+}
+
+fn print(report: &Report, automatic: bool) -> Result<(), Fault> {
+    let place = |[x, y, z]: [f64; 3]| format!("{x:.3},{y:.3},{z:.3}");
+    let camera = match report.camera {
+        CameraReport::Pinhole { eye, target, fov } => {
+            format!("--eye {} --target {} --fov {fov}", place(eye), place(target))
+        }
+        CameraReport::Panorama { panorama } => format!("--panorama {}", place(panorama)),
+    };
+    let [width, height] = report.size;
+    let mut lines = vec![
+        report.output.clone(),
+        format!("  picture    {width} x {height}, {} samples per pixel, by {}", report.samples, report.method),
+        format!("  camera     {camera}"),
+        format!(
+            "  work       {:.1} M rays in {:.2} s ({:.2} s of CPU)",
+            report.rays as f64 / 1e6,
+            report.wall_seconds,
+            report.cpu_seconds
+        ),
+    ];
+    if let Some(stops) = report.exposure_stops {
+        let why = if automatic { " (automatic)" } else { "" };
+        lines.push(format!("  exposure   {stops:+.2} stops{why}"));
+    }
+    // What rounds to nothing is nothing.
+    if report.uncovered >= 5e-5 {
+        let share = report.uncovered * 100.0;
+        lines.push(format!("  uncovered  {share:.2} % of the light: no probe has seen where it comes from; black"));
+    }
+    super::print_line(&lines.join("\n"))
+}

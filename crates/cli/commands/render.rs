@@ -8,7 +8,7 @@ use gdibl_baker::import::image::{MAX_PIXELS, Pose, SampleFormat, write_exr, writ
 use gdibl_baker::panorama::{Image, Mapping};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::blend::BlendRule;
-use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
+use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path as Paths;
 use gdibl_baker::render::{Camera, Picture, RenderSettings, render, tone};
 use gdibl_baker::scene::{Role, Scene};
@@ -162,7 +162,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let job = Job { volume: volume.as_ref(), camera: &camera, settings: &settings, cancel: &cancel };
     let picture = match method {
         Method::Gdibl => {
-            let settings = GdiblSettings { next_event: true, ..gdibl_settings(&config.quality, inputs.captured) };
+            let settings = gdibl_settings(&config.quality, inputs.captured);
             job.render(&Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), settings), arguments.quiet)?
         }
         Method::Path => {

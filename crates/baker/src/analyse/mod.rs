@@ -1,6 +1,7 @@
 //! What is in a volume, and how wrong it is.
 
 mod compare;
+mod energy;
 mod error;
 mod noise;
 mod summary;
@@ -10,6 +11,7 @@ pub use compare::{
     Answer, BandsCompared, CompareSettings, Comparison, NoiseUnknown, NothingCompared, Places, SetComparison,
     WorstPlace, compare,
 };
+pub use energy::{EnergyBalance, energy_balance};
 pub use error::{BandError, ChannelError, IrradianceError, Light, Pair, radiance_sh};
 pub use summary::{Histogram, NodeFigure, Range, VolumeSummary, summarise};
 pub use truth::{Truth, TruthLight, TruthNoise, choose_sets};

@@ -99,7 +99,7 @@ fn gather(
                 return Err(Interrupted);
             }
             context.sample = sample;
-            let (direction, weight) = propose(function, origin, place.normal, settings.guided, context.point(0));
+            let (direction, weight) = propose_on_surface(function, origin, place.normal, settings.guided, context.point(0));
             // Guided below the horizon: it counts, and brings nothing.
             if weight > 0.0 {
                 let arriving = function.radiance(origin, direction, &mut context);
@@ -122,8 +122,8 @@ struct Sums {
     all: f64,
 }
 
-/// A direction, and w = cosθ/(π p) of it; 0 below the horizon.
-fn propose(
+/// A direction from a surface, and w = cosθ/(π p) of it; 0 below the horizon. `guided`: half go toward what is bright.
+pub(crate) fn propose_on_surface(
     function: &impl RadianceFunction,
     origin: Vec3,
     normal: Vec3,

@@ -13,6 +13,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 use integrate::{Integrator, Moments, NodeEstimate};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};

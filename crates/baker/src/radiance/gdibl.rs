@@ -61,9 +61,6 @@ pub struct GdiblSettings {
     pub emission_from_materials: bool,
     /// Of the random walks that find what scene geometry does to the environment; the bake's.
     pub seed: u64,
-    /// Light on scene geometry, and what it keeps from the environment, is sought where the [`Guide`] knows it to be
-    /// bright, too, instead of by cosine alone. Pictures need it: see [`Gdibl::toward_light`].
-    pub next_event: bool,
 }
 
 /// A ray that has lost all but this share is not followed further.
@@ -277,13 +274,11 @@ impl<'a> Gdibl<'a> {
     }
 
     /// Next-event estimation: a direction from a surface toward what is bright, and the weight of its light,
-    /// cosθ/π over the densities of all that could have found it. `None` where nothing is bright, or not asked for.
+    /// cosθ/π over the densities of all that could have found it. `None` where nothing is bright.
     ///
-    /// At 64 samples per pixel, pictures of the box with its spheres were off by 40 % by cosine alone, and by 9 % with this.
+    /// At 64 samples per pixel, pictures of the box with its spheres were off by 40 % by cosine alone, and by 9 % with this;
+    /// irradiance on the spheres at 1024 directions by 7.1 % and 4.8 %, for a tenth more time (`tools/sphere_table`).
     fn toward_light(&self, start: Vec3, normal: Vec3, walk: Walk, context: &PathContext) -> Option<(Vec3, f32)> {
-        if !self.settings.next_event {
-            return None;
-        }
         let point = context.stream.point(context.sample, NEXT_EVENT + walk.step);
         let (direction, density) = self.guide.propose_bright(start, point)?;
         let by_cosine = direction.dot(normal) * FRAC_1_PI;
@@ -292,9 +287,6 @@ impl<'a> Gdibl<'a> {
 
     /// Weight of light that a direction by cosine found: 1, less what [`Gdibl::toward_light`] has of it.
     fn cosine_weight(&self, start: Vec3, normal: Vec3, direction: Vec3) -> f32 {
-        if !self.settings.next_event {
-            return 1.0;
-        }
         let by_cosine = direction.dot(normal) * FRAC_1_PI;
         by_cosine / (by_cosine + self.guide.bright_density(start, direction))
     }

@@ -4,7 +4,7 @@ use gdibl_baker::Control;
 use gdibl_baker::analyse::radiance_sh;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::panorama::Panorama;
-use gdibl_baker::radiance::Distant;
+use gdibl_baker::radiance::{Distant, RadianceFunction};
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
@@ -97,7 +97,7 @@ pub fn gdibl<'a>(scene: &'a Scene, probes: &'a [Probe], distant: Option<&'a Dist
     Gdibl::new(scene, probes, distant, GdiblSettings::default())
 }
 
-pub fn bake_points(function: &Gdibl, points: &[DVec3], settings: &BakeSettings) -> Baked {
+pub fn bake_points(function: &impl RadianceFunction, points: &[DVec3], settings: &BakeSettings) -> Baked {
     let nodes = Nodes::Points(points.to_vec());
     let cancel = AtomicBool::new(false);
     bake(&nodes, function, settings, &Control { cancel: &cancel, progress: &|_, _| {} }).expect("nobody interrupts")

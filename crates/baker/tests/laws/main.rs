@@ -5,6 +5,7 @@ mod gather;
 mod geometry;
 mod level;
 mod light;
+mod paths;
 mod render;
 mod statistics;
 mod sun;

@@ -7,8 +7,8 @@ use gdibl_baker::import::gltf::{GltfOptions, read_level};
 use gdibl_baker::import::image::{ReadOptions, read_image};
 use gdibl_baker::import::reference::read_reference;
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
-use gdibl_baker::radiance::Distant;
-use gdibl_baker::radiance::gdibl::{Gdibl, Probe};
+use gdibl_baker::radiance::{Distant, RadianceFunction};
+use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::volume::{PackSettings, Precision, pack};
@@ -58,7 +58,7 @@ pub fn read_lighting(folder: &Path) -> (Vec<Probe>, Distant) {
 }
 
 /// Bakes to the end.
-pub fn bake_all(function: &Gdibl, nodes: &Nodes, settings: &BakeSettings) -> Baked {
+pub fn bake_all(function: &impl RadianceFunction, nodes: &Nodes, settings: &BakeSettings) -> Baked {
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
     bake(nodes, function, settings, &control).expect("nobody interrupts a tool")
 }

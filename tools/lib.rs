@@ -7,8 +7,8 @@ use gdibl_baker::import::gltf::{GltfOptions, read_level};
 use gdibl_baker::import::image::{ReadOptions, read_image};
 use gdibl_baker::import::reference::read_reference;
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
-use gdibl_baker::radiance::{Distant, RadianceFunction};
 use gdibl_baker::radiance::gdibl::Probe;
+use gdibl_baker::radiance::{Distant, RadianceFunction};
 use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::volume::{PackSettings, Precision, pack};
@@ -20,6 +20,12 @@ use std::sync::atomic::AtomicBool;
 /// Where the three probes of the box were taken, world metres.
 pub const BOX_PROBES: [DVec3; 3] =
     [DVec3::new(0.0, 1.0, 2.999), DVec3::new(0.0, 1.0, 0.0), DVec3::new(0.0, 1.0, -2.999)];
+/// Centres of the report's three spheres, world metres.
+pub const BOX_SPHERES: [DVec3; 3] = [DVec3::new(0.0, 1.0, 2.0), DVec3::new(0.0, 1.0, 0.0), DVec3::new(0.0, 1.0, -2.0)];
+/// Their radius, metres.
+pub const SPHERE_RADIUS: f32 = 0.5;
+/// Points leave the exact sphere by this much, metres: the level's spheres are polyhedra.
+pub const OFF_THE_SURFACE: f64 = 1e-3;
 
 /// The sets of a lighting's `reference.json` that have these names.
 pub fn read_truth(lighting: &Path, names: &[&str]) -> Vec<Truth> {

@@ -6,7 +6,7 @@ use gdibl_baker::import::image::{Image, Pose, SampleFormat, write_exr};
 use gdibl_baker::panorama::{Mapping, Panorama};
 use gdibl_baker::scene::{Role, Scene};
 use gdibl_baker::trace::{Frame, Surfaces};
-use gdibl_tools::{BOX_PROBES, read_panorama, read_scene};
+use gdibl_tools::{BOX_PROBES, BOX_SPHERES, SPHERE_RADIUS, read_panorama, read_scene};
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -14,9 +14,6 @@ use std::path::Path;
 /// Width of a shipped probe, and of the distant panorama.
 const PROBE_WIDTH: usize = 256;
 const DISTANT_WIDTH: usize = 512;
-/// Centres and radius of the report's three spheres, metres.
-const SPHERES: [DVec3; 3] = [DVec3::new(0.0, 1.0, 2.0), DVec3::new(0.0, 1.0, 0.0), DVec3::new(0.0, 1.0, -2.0)];
-const RADIUS: f32 = 0.5;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -102,7 +99,7 @@ fn with_spheres(glb: &[u8]) -> Vec<u8> {
     };
     let floats = |scale: f32| directions.iter().flat_map(move |d| (*d * scale).to_array()).flat_map(f32::to_le_bytes);
     let views = [
-        append(floats(RADIUS).collect()),
+        append(floats(SPHERE_RADIUS).collect()),
         append(floats(1.0).collect()),
         append(triangles.iter().flatten().flat_map(|i| i.to_le_bytes()).collect()),
     ];
@@ -113,7 +110,8 @@ fn with_spheres(glb: &[u8]) -> Vec<u8> {
     };
     let views = views.map(|view| list(&mut root, "bufferViews", view));
     let vector = json!({ "bufferView": views[0], "componentType": 5126, "count": directions.len(), "type": "VEC3",
-                         "min": [-RADIUS, -RADIUS, -RADIUS], "max": [RADIUS, RADIUS, RADIUS] });
+                         "min": [-SPHERE_RADIUS, -SPHERE_RADIUS, -SPHERE_RADIUS],
+                         "max": [SPHERE_RADIUS, SPHERE_RADIUS, SPHERE_RADIUS] });
     let position = list(&mut root, "accessors", vector);
     let vector = json!({ "bufferView": views[1], "componentType": 5126, "count": directions.len(), "type": "VEC3" });
     let normal = list(&mut root, "accessors", vector);
@@ -126,7 +124,7 @@ fn with_spheres(glb: &[u8]) -> Vec<u8> {
     let primitive = json!({ "attributes": { "POSITION": position, "NORMAL": normal }, "indices": indices,
                             "material": material });
     let mesh = list(&mut root, "meshes", json!({ "name": "sphere", "primitives": [primitive] }));
-    for (i, center) in SPHERES.iter().enumerate() {
+    for (i, center) in BOX_SPHERES.iter().enumerate() {
         let node = json!({ "name": format!("sphere{i}"), "mesh": mesh, "translation": center.to_array(),
                            "extras": { "gdibl_role": "scene" } });
         let node = list(&mut root, "nodes", node);

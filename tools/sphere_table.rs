@@ -8,14 +8,12 @@
 use gdibl_baker::analyse::{CompareSettings, Truth, compare};
 use gdibl_baker::bake::{BakeSettings, Nodes, grid_of_spacing};
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
-use gdibl_tools::{bake_all, read_lighting, read_scene, read_truth, volume_of};
+use gdibl_tools::{OFF_THE_SURFACE, bake_all, read_lighting, read_scene, read_truth, volume_of};
 use glam::{DVec3, Vec3};
 use std::path::Path;
 
 /// Nodes of the grid, metres apart.
 const SPACING: f64 = 0.2;
-/// Points leave the exact sphere by this much, metres: the level's spheres are polyhedra.
-const OFFSET: f64 = 1e-3;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -59,6 +57,7 @@ fn main() {
 /// The same light, where the points are baked.
 fn off_the_surface(truth: &Truth) -> Truth {
     let both = truth.positions.iter().zip(&truth.normals);
-    let moved = |(p, n): (&[f64; 3], &[f32; 3])| (DVec3::from(*p) + Vec3::from(*n).as_dvec3() * OFFSET).to_array();
+    let moved =
+        |(p, n): (&[f64; 3], &[f32; 3])| (DVec3::from(*p) + Vec3::from(*n).as_dvec3() * OFF_THE_SURFACE).to_array();
     Truth { positions: both.map(moved).collect(), ..truth.clone() }
 }

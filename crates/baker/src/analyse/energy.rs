@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 
 use crate::bake::propose_on_surface;
-use crate::radiance::{PathContext, RadianceFunction};
 use crate::radiance::path::{Path, PathSettings};
+use crate::radiance::{PathContext, RadianceFunction};
 use crate::sampling::{Sampler, Stream, uniform_sphere};
 use crate::scene::Scene;
 use crate::trace::{Frame, Surfaces};

@@ -99,7 +99,8 @@ fn gather(
                 return Err(Interrupted);
             }
             context.sample = sample;
-            let (direction, weight) = propose_on_surface(function, origin, place.normal, settings.guided, context.point(0));
+            let (direction, weight) =
+                propose_on_surface(function, origin, place.normal, settings.guided, context.point(0));
             // Guided below the horizon: it counts, and brings nothing.
             if weight > 0.0 {
                 let arriving = function.radiance(origin, direction, &mut context);

@@ -339,10 +339,9 @@ fn light_on_objects_is_found_where_it_is_bright_and_counted_once() {
     let bright = Vec3::new(0.5, 0.7, 0.3).normalize();
     let sky = distant(panorama(64, |d| if d.angle_between(bright) < 0.2 { [60.0, 30.0, 20.0] } else { [0.5; 3] }));
     let directions = fibonacci_sphere(1 << 18);
-    let irradiance: f64 = directions.iter().map(|d| f64::from(sky.panorama.radiance(*d).x * d.y.max(0.0))).sum::<f64>()
-        * 4.0
-        * PI
-        / directions.len() as f64;
+    let irradiance: f64 =
+        directions.iter().map(|d| f64::from(sky.panorama.radiance(*d).x * d.y.max(0.0))).sum::<f64>() * 4.0 * PI
+            / directions.len() as f64;
     let expected = (0.7 / PI * irradiance) as f32;
     let camera = look(DVec3::new(-2.0, 2.0, 2.5), DVec3::ZERO, 10.0);
     let off = |samples: u32| {

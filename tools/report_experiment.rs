@@ -250,7 +250,6 @@ fn reference(ways: &Ways, lighting: &Path) {
     println!("\nAgainst reference.json, {set}:\n");
     summary("report", &ways.report_light(&places), &[], &light);
     summary("gdibl", &ways.light(&ways.gdibl, &places), &[], &light);
-    // Bakes seek the sky from the node alone, and walk from what they hit by cosine.
     summary("path", &ways.light(&ways.path, &places), &[], &light);
 }
 

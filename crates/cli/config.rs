@@ -328,7 +328,6 @@ pub fn gdibl_settings(quality: &QualityFlags, captured: bool) -> GdiblSettings {
         scene_hit: quality.scene.unwrap_or(defaults.scene_hit),
         emission_from_materials: captured,
         seed: quality.seed.unwrap_or(defaults.seed),
-        ..defaults
     }
 }
 

@@ -4,6 +4,7 @@
 mod common;
 
 mod bake;
+mod capture;
 mod compare;
 mod config;
 mod furnace;

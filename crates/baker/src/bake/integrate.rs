@@ -16,7 +16,7 @@ use std::f64::consts::PI;
 
 use super::directions::DirectionMap;
 use crate::Interrupted;
-use crate::radiance::{PathContext, Radiance, SOLID_BACKS};
+use crate::radiance::{PathContext, Radiance};
 use crate::sampling::{Sampler, Stream, fibonacci_sphere};
 
 /// Independent scrambles per node. 16: the standard error is itself known to 18 %.
@@ -43,13 +43,6 @@ pub struct NodeEstimate {
     pub clamped: f64,
     /// Share of the samples that first met the back of a triangle, 0..=1.
     pub backs: f64,
-}
-
-impl NodeEstimate {
-    /// No light, and backs around.
-    pub fn is_in_solid(&self) -> bool {
-        self.rms_irradiance == 0.0 && self.backs > SOLID_BACKS
-    }
 }
 
 /// Names the random points of one node.

@@ -18,7 +18,7 @@ pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 use integrate::{Integrator, Moments, NodeEstimate};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
 
-use crate::radiance::{PathContext, RadianceFunction};
+use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
 use crate::sampling::{Sampler, Stream};
 use crate::{Control, Interrupted};
 use integrate::Sequence;
@@ -129,12 +129,12 @@ pub fn bake(
     };
     let baked = sample_nodes(nodes, function, settings, control, enough)?;
     let Sampled { sh, estimates, rays, samples } = baked;
-    let valid: Vec<bool> = estimates.iter().map(|e| e.coverage > 0.0).collect();
     let median = median.unwrap_or_else(|| median_irradiance(&estimates));
-    let relative = |e: &Summary| if e.coverage > 0.0 { e.relative_error(median) as f32 } else { 0.0 };
+    let valid: Vec<bool> = estimates.iter().map(|e| e.is_valid(median)).collect();
+    let relative = |e: &Summary| if e.is_valid(median) { e.relative_error(median) as f32 } else { 0.0 };
     let relative_error: Vec<f32> = estimates.iter().map(relative).collect();
     let target = settings.target_error.unwrap_or(f64::INFINITY) as f32;
-    let total = |of: fn(&Summary) -> f64| estimates.iter().filter(|e| e.coverage > 0.0).map(of).sum::<f64>();
+    let total = |of: fn(&Summary) -> f64| estimates.iter().filter(|e| e.is_valid(median)).map(of).sum::<f64>();
     let (clamped, kept) = (total(|e| e.clamped), total(|e| e.kept));
     let mut baked = Baked {
         bands: settings.bands,
@@ -169,12 +169,21 @@ struct Summary {
     standard_error: f64,
     rms_irradiance: f64,
     coverage: f64,
+    backs: f64,
     /// ∫ L dω that clamping took, and that is left, over R, G and B.
     clamped: f64,
     kept: f64,
 }
 
+/// Light under this share of the volume's median is next to none: a solid's walls may leak a little.
+const NEXT_TO_NONE: f64 = 1e-3;
+
 impl Summary {
+    /// Something of what it sees is known, and it is not the inside of a solid.
+    fn is_valid(&self, median: f64) -> bool {
+        self.coverage > 0.0 && !(self.backs > SOLID_BACKS && self.rms_irradiance <= NEXT_TO_NONE * median)
+    }
+
     fn relative_error(&self, median: f64) -> f64 {
         let floor = self.rms_irradiance.max(0.1 * median);
         // All black: nothing is wrong with it.
@@ -191,7 +200,8 @@ impl From<&NodeEstimate> for Summary {
         Summary {
             standard_error: e.standard_error,
             rms_irradiance: e.rms_irradiance,
-            coverage: if e.is_in_solid() { 0.0 } else { e.coverage },
+            coverage: e.coverage,
+            backs: e.backs,
             clamped: e.clamped,
             kept: e.sh[0].iter().sum::<f64>() * (4.0 * std::f64::consts::PI).sqrt(),
         }
@@ -199,7 +209,8 @@ impl From<&NodeEstimate> for Summary {
 }
 
 fn median_irradiance(estimates: &[Summary]) -> f64 {
-    let mut valid: Vec<f64> = estimates.iter().filter(|e| e.coverage > 0.0).map(|e| e.rms_irradiance).collect();
+    let lit = estimates.iter().filter(|e| e.coverage > 0.0 && e.rms_irradiance > 0.0);
+    let mut valid: Vec<f64> = lit.map(|e| e.rms_irradiance).collect();
     if valid.is_empty() {
         return 0.0;
     }

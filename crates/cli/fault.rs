@@ -65,7 +65,7 @@ impl std::fmt::Display for Fault {
             | Fault::Invalid(message)
             | Fault::Unsupported(message)
             | Fault::Bound(message) => f.write_str(message),
-            Fault::Interrupted => f.write_str("interrupted; nothing was written"),
+            Fault::Interrupted => f.write_str("interrupted; no file was left half written"),
         }
     }
 }

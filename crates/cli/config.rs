@@ -140,6 +140,26 @@ pub fn parse_position(text: &str) -> Result<[f64; 3], String> {
     <[f64; 3]>::try_from(numbers).ok().filter(|_| text.split(',').count() == 3).ok_or("expected x,y,z".into())
 }
 
+/// Flags of the verbs that trace for long, but of `bake`, whose [`QualityFlags`] BAKE.toml holds too.
+#[derive(Args)]
+pub struct RunFlags {
+    /// Replace NaN, infinite and negative pixels instead of refusing the image
+    #[arg(long)]
+    pub repair_pixels: bool,
+    /// Same seed, same bytes [default: 0]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Worker threads; the result does not depend on it [default: all]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// No progress bar
+    #[arg(long)]
+    pub quiet: bool,
+}
+
 /// The radiance function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {

@@ -10,6 +10,7 @@ use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::gdibl::Probe;
+use gdibl_baker::radiance::path::specular_left_out;
 use gdibl_baker::scene::{Mesh, Role, Scene};
 
 use crate::commands::file_name;
@@ -47,6 +48,10 @@ impl Inputs {
             let proxy = read_level(path, &options)?;
             findings.extend(proxy.findings.iter().cloned());
             scene.replace_environment(proxy);
+        }
+        if textures == TextureNeeds::All {
+            // Who needs all textures traces paths.
+            findings.extend(specular_left_out(&scene));
         }
         let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings, captured: false };
         if let Some(entry) = &config.distant {

@@ -7,7 +7,7 @@ use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes};
 use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
-use gdibl_baker::radiance::path::{Path, specular_left_out};
+use gdibl_baker::radiance::path::Path;
 use gdibl_baker::records::{ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::{PackSettings, Precision, pack, write_whole};
@@ -74,9 +74,6 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 
     // Everything is read and refused before the first ray.
     let mut inputs = Inputs::read(&config, config.textures(!arguments.no_capture))?;
-    if method == Method::Path {
-        inputs.findings.extend(specular_left_out(&inputs.scene));
-    }
     let nodes = nodes_of(&config, &inputs.scene)?;
     check_memory(&nodes, &settings, config.quality.max_memory)?;
     let captures = method == Method::Gdibl && !arguments.no_capture && inputs.lacks_probes();

@@ -6,12 +6,12 @@ use std::time::Instant;
 use gdibl_baker::Finding;
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::panorama::Mapping;
-use gdibl_baker::radiance::path::{Path as Paths, specular_left_out};
+use gdibl_baker::radiance::path::Path as Paths;
 use glam::DVec3;
 use serde::Serialize;
 
 use crate::captures::{Outcome, Place, capture_all, capture_settings, path_settings, places, say};
-use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, set_threads};
+use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, RunFlags, set_threads};
 use crate::fault::Fault;
 use crate::inputs::Inputs;
 use crate::progress::cancel_on_interrupt;
@@ -38,21 +38,8 @@ pub struct Arguments {
     /// Cut every path's radiance off at this, and say how much light that took [default: off]
     #[arg(long, value_name = "L")]
     clamp: Option<f32>,
-    /// Replace NaN, infinite and negative pixels of the distant panorama instead of refusing it
-    #[arg(long)]
-    repair_pixels: bool,
-    /// Same seed, same bytes [default: 0]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
-    /// Worker threads; the result does not depend on it [default: all]
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
-    /// Print the result as JSON
-    #[arg(long)]
-    json: bool,
-    /// No progress bar
-    #[arg(long)]
-    quiet: bool,
+    #[command(flatten)]
+    run: RunFlags,
 }
 
 /// What `--json` prints.
@@ -95,17 +82,16 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let quality = QualityFlags {
         bounces: arguments.bounces,
         clamp: arguments.clamp,
-        seed: arguments.seed,
-        threads: arguments.threads,
-        repair_pixels: arguments.repair_pixels.then_some(true),
+        seed: arguments.run.seed,
+        threads: arguments.run.threads,
+        repair_pixels: arguments.run.repair_pixels.then_some(true),
         ..QualityFlags::default()
     };
     let config = Config::new(files, GridFlags::default(), quality, arguments.capture)?;
     set_threads(config.quality.threads)?;
     let settings = capture_settings(&config.capture, &config.quality)?;
 
-    let mut inputs = Inputs::read_level(&config, TextureNeeds::All)?;
-    inputs.findings.extend(specular_left_out(&inputs.scene));
+    let inputs = Inputs::read_level(&config, TextureNeeds::All)?;
     inputs.warn();
     if !inputs.has_light() {
         return Err(Fault::Bound(format!(
@@ -119,7 +105,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     for folder in places.iter().filter_map(|place| place.file.parent()) {
         std::fs::create_dir_all(folder).map_err(|error| Fault::writing(folder, &error))?;
     }
-    let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &cancel, arguments.quiet)?;
+    let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &cancel, arguments.run.quiet)?;
 
     let mut findings = inputs.findings;
     findings.extend(outcomes.iter().flat_map(|outcome| outcome.findings.iter().cloned()));
@@ -129,7 +115,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
         findings,
     };
-    if arguments.json {
+    if arguments.run.json {
         super::print_json(&report)?
     } else {
         print(&report)?

@@ -19,8 +19,8 @@ use serde::Serialize;
 
 use crate::captures::{capture_missing, say};
 use crate::config::{
-    CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, gdibl_settings, parse_blend, parse_method,
-    parse_position, path_settings, set_threads,
+    CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, RunFlags, gdibl_settings, parse_blend,
+    parse_method, parse_position, path_settings, set_threads,
 };
 use crate::fault::Fault;
 use crate::inputs::Inputs;
@@ -65,21 +65,8 @@ pub struct Arguments {
     /// Stops by which a PNG is brightened (negative: darkened) [default: so that the log-mean is middle grey]
     #[arg(long, value_name = "STOPS", value_parser = parse_stops, allow_hyphen_values = true)]
     exposure: Option<f32>,
-    /// Replace NaN, infinite and negative pixels instead of refusing the image
-    #[arg(long)]
-    repair_pixels: bool,
-    /// Same seed, same bytes [default: 0]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
-    /// Worker threads; the result does not depend on it [default: all]
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
-    /// Print the result as JSON
-    #[arg(long)]
-    json: bool,
-    /// No progress bar
-    #[arg(long)]
-    quiet: bool,
+    #[command(flatten)]
+    run: RunFlags,
 }
 
 #[derive(clap::Args)]
@@ -156,18 +143,21 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     inputs.check_light(&config, method)?;
     super::check_output(&output)?;
     if method == Method::Gdibl && inputs.lacks_probes() {
-        capture_missing(&config, &mut inputs, &cancel, arguments.quiet)?;
+        capture_missing(&config, &mut inputs, &cancel, arguments.run.quiet)?;
     }
 
     let job = Job { volume: volume.as_ref(), camera: &camera, settings: &settings, cancel: &cancel };
     let picture = match method {
         Method::Gdibl => {
             let settings = gdibl_settings(&config.quality, inputs.captured);
-            job.render(&Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), settings), arguments.quiet)?
+            job.render(
+                &Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), settings),
+                arguments.run.quiet,
+            )?
         }
         Method::Path => {
             let settings = path_settings(&config.quality)?;
-            job.render(&Paths::new(&inputs.scene, inputs.distant.as_ref(), settings), arguments.quiet)?
+            job.render(&Paths::new(&inputs.scene, inputs.distant.as_ref(), settings), arguments.run.quiet)?
         }
     };
     let exposure_stops = match file_type {
@@ -196,7 +186,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         seed: settings.seed,
         findings: inputs.findings,
     };
-    if arguments.json { super::print_json(&report) } else { print(&report, arguments.exposure.is_none()) }
+    if arguments.run.json { super::print_json(&report) } else { print(&report, arguments.exposure.is_none()) }
 }
 
 /// The command line and BAKE.toml together. A picture's samples and depth are its own.
@@ -213,9 +203,9 @@ fn config_of(arguments: &Arguments) -> Result<Config, Fault> {
         method: arguments.method,
         scene: arguments.depth.map(SceneHit::Recurse),
         blend: arguments.blend,
-        repair_pixels: arguments.repair_pixels.then_some(true),
-        seed: arguments.seed,
-        threads: arguments.threads,
+        repair_pixels: arguments.run.repair_pixels.then_some(true),
+        seed: arguments.run.seed,
+        threads: arguments.run.threads,
         ..QualityFlags::default()
     };
     Config::new(files, GridFlags::default(), quality, CaptureFlags::default())

@@ -129,11 +129,15 @@ fn write(place: &Place, captured: &Captured, mapping: Mapping) -> Result<Vec<Fin
 }
 
 /// The embedded default of an input that lacks probes: they are made from the level, or taken from an earlier run.
-/// Returns how many there are.
+/// Returns how many there are; none where the level has no place for one: then what is given has to do.
 pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool, quiet: bool) -> Result<usize, Fault> {
     let captured = auto_capture(config, cancel, quiet)?;
     inputs.read_probes(&captured.entries, config)?;
     let count = captured.entries.len();
+    if count == 0 {
+        say("no probe was given, and the level's box has no place for one: each stands in a solid or sees nothing");
+        return Ok(0);
+    }
     if let Some(seconds) = captured.seconds {
         say(&format!(
             "no probe was given: captured {count} from the level in {seconds:.1} s; they are kept in {} for the next time \
@@ -185,11 +189,9 @@ fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<Aut
     let flags = CaptureFlags { auto: Some(true), ..config.capture.clone() };
     let places = places(&inputs.scene, &paths, &flags, filling.path());
     if places.is_empty() {
-        return Err(Fault::Bound(format!(
-            "{}: found no place for a probe: every place tried stands in a solid or sees nothing; give --probes, or bake \
-             with --no-capture",
-            config.level.display()
-        )));
+        drop(filling);
+        let _ = std::fs::remove_dir(&parent); // if it holds nothing else
+        return Ok(AutoCapture { entries: Vec::new(), folder, seconds: None });
     }
     if let Err(fault) = capture_all(&paths, &places, Mapping::LatLong, &settings, cancel, quiet) {
         drop(filling);

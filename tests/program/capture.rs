@@ -169,6 +169,19 @@ fn capture_says_what_it_lacks() {
 }
 
 #[test]
+fn level_without_a_place_for_a_probe_bakes_with_what_is_given() {
+    let folder = Folder::new();
+    let mut level = Level::new();
+    level.object(&solid_of([-1.0; 3], [1.0; 3]), 0, json!({}));
+    level.write(&folder, "block.glb");
+    folder.sky("sky.exr", [2.0; 3]);
+    let grid = ["--bounds=-2,-2,-2,2,2,2", "--counts", "3,3,3", "--samples", "64"];
+    let report = folder.bake(&[&["block.glb", "--distant", "sky.exr"], &grid[..]].concat());
+    assert_eq!((&report["nodes_valid"], &report["plan"][0]["kept"]), (&json!(26), &json!(false)), "{report}");
+    assert_eq!(folder.names(), ["block.gdibl", "block.glb", "sky.exr"]);
+}
+
+#[test]
 fn metals_and_clamped_light_are_told() {
     let folder = lamp_room(|level| {
         let gold = level.material(json!({ "pbrMetallicRoughness": { "baseColorFactor": [1.0, 0.8, 0.2, 1.0] } }));

@@ -84,11 +84,11 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     }
     let capture = match captures {
         true if arguments.plan => PlanRow::new("capture", true, "no probe is given: they are captured from the level"),
-        true => {
-            let count = capture_missing(&config, &mut inputs, &cancel, arguments.quiet)?;
-            // The same whether they were there already: same inputs, same bytes.
-            PlanRow::new("capture", true, format!("no probe is given: {count} captured from the level"))
-        }
+        // The same whether they were there already: same inputs, same bytes.
+        true => match capture_missing(&config, &mut inputs, &cancel, arguments.quiet)? {
+            0 => PlanRow::new("capture", false, "no probe is given, and the level's box has no place for one"),
+            n => PlanRow::new("capture", true, format!("no probe is given: {n} captured from the level")),
+        },
         false => PlanRow::new("capture", false, no_capture_reason(&inputs, method, arguments.no_capture)),
     };
 

@@ -63,6 +63,23 @@ impl Stream {
     }
 }
 
+/// Numbers that streams have as their `node`, by who draws from them: nodes have their own index, the others a high bit, so
+/// that no two share random numbers.
+pub(crate) mod streams {
+    /// Texels of what scene geometry does to the environment.
+    pub const TEXELS: u64 = 1 << 63;
+    /// Pixels of captured probes.
+    pub const PROBES: u64 = 1 << 62;
+    /// Places where a probe could stand.
+    pub const CANDIDATES: u64 = 3 << 61;
+    /// Pixels of pictures.
+    pub const PICTURES: u64 = 1 << 61;
+    /// Places whose irradiance is gathered.
+    pub const SURFACES: u64 = 1 << 60;
+    /// Places, and the rays that leave them, of an energy balance.
+    pub const ENERGY: u64 = 1 << 59;
+}
+
 /// SplitMix64's finaliser (Steele, Lea, Flood, 2014): every input bit moves every output bit.
 fn mix(value: u64) -> u64 {
     let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);

@@ -14,7 +14,7 @@ use std::f64::consts::PI;
 use crate::bake::propose_on_surface;
 use crate::radiance::path::{Path, PathSettings};
 use crate::radiance::{PathContext, RadianceFunction};
-use crate::sampling::{Sampler, Stream, uniform_sphere};
+use crate::sampling::{Sampler, Stream, streams, uniform_sphere};
 use crate::scene::Scene;
 use crate::trace::{Frame, Surfaces};
 use crate::{Control, Interrupted};
@@ -68,7 +68,7 @@ pub fn energy_balance(
         cumulative.push(whole);
     }
     // Absorption, at places drawn by area, on either side.
-    let stream = Stream::new(Sampler::Sobol, 0, PLACE_STREAMS, 0);
+    let stream = Stream::new(Sampler::Sobol, 0, streams::ENERGY, 0);
     let kept = one_ray_each(&path, places, control, |sample| {
         let ([a, b], [c, d]) = (stream.point(sample, 0), stream.point(sample, 1));
         let at = f64::from(a) * whole;
@@ -93,9 +93,6 @@ pub fn energy_balance(
     Ok(balance)
 }
 
-/// Streams of places, and of the rays that leave them, stand apart from those of nodes.
-const PLACE_STREAMS: u64 = 1 << 59;
-
 /// `place(sample)` is where (trace space), the normal, and what share counts; the result is that share of E there, by one
 /// ray: π w L with w = cosθ/(π p).
 fn one_ray_each(
@@ -104,7 +101,7 @@ fn one_ray_each(
     control: &Control,
     place: impl Fn(u32) -> (Vec3, Vec3, Vec3) + Sync,
 ) -> Result<Vec<DVec3>, Interrupted> {
-    let rays = Stream::new(Sampler::Sobol, 0, PLACE_STREAMS + 1, 0);
+    let rays = Stream::new(Sampler::Sobol, 0, streams::ENERGY + 1, 0);
     let one = |sample| {
         if control.cancelled() {
             return Err(Interrupted);

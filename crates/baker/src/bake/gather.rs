@@ -17,7 +17,7 @@ use std::f64::consts::PI;
 
 use super::integrate::{REPLICATES, share};
 use crate::radiance::{PathContext, RadianceFunction};
-use crate::sampling::{Sampler, Stream, cosine_hemisphere};
+use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::{Control, Interrupted};
 
 /// A place on a surface.
@@ -59,9 +59,6 @@ pub struct Gathered {
     pub coverage: f64,
 }
 
-/// Streams of these places stand apart from those of nodes, texels, and pixels of probes and pictures.
-const GATHER_STREAMS: u64 = 1 << 60;
-
 /// Irradiance at every place, in their order.
 pub fn irradiance_at(
     places: &[SurfacePlace],
@@ -91,7 +88,7 @@ fn gather(
     let replicates = u64::from(REPLICATES).min(settings.samples) as u32;
     let mut sums = Vec::new();
     for replicate in 0..replicates {
-        let stream = Stream::new(settings.sampler, settings.seed, GATHER_STREAMS | index, replicate);
+        let stream = Stream::new(settings.sampler, settings.seed, streams::SURFACES | index, replicate);
         let mut context = PathContext::new(stream);
         let mut sum = Sums::default();
         for sample in 0..share(settings.samples, replicates, replicate) {

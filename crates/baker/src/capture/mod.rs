@@ -9,10 +9,10 @@ mod place;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::panorama::{Image, PixelGrid};
+use crate::panorama::{Image, PLANE_TOLERANCE, PixelGrid};
 use crate::radiance::path::Path;
 use crate::radiance::{PathContext, RadianceFunction};
-use crate::sampling::{Sampler, Stream};
+use crate::sampling::{Sampler, Stream, streams};
 use crate::trace::Hit;
 use crate::{Control, Interrupted};
 pub use place::{PlaceSettings, Placement, place_probes};
@@ -62,10 +62,6 @@ pub struct Captured {
 
 /// Paths of a pixel before it is asked for the first time whether they are enough.
 const FIRST_ROUND: u32 = 32;
-/// How far a path's first hit may lie from the tangent plane of the surface in the pixel's centre, relative to its
-/// distance, and still be that surface: as for lookups ([`crate::panorama::Panorama::radiance_on_plane`]).
-const PLANE_TOLERANCE: f32 = 0.03;
-
 /// Path-traces a probe. `index` tells the random numbers of several probes apart.
 pub fn capture(
     path: &Path,
@@ -111,9 +107,6 @@ pub fn capture(
     })
 }
 
-/// Streams of pixels stand apart from those of nodes and of texels of effects.
-const PROBE_STREAMS: u64 = 1 << 62;
-
 /// Fills pixels.
 struct Camera<'a> {
     path: &'a Path<'a>,
@@ -139,7 +132,7 @@ impl Camera<'_> {
         enough: impl Fn(&Pixel) -> u32 + Sync,
     ) -> Result<(), Interrupted> {
         pixels.par_iter_mut().enumerate().with_max_len(256).try_for_each(|(number, pixel)| {
-            let stream = PROBE_STREAMS | self.index << 32 | number as u64;
+            let stream = streams::PROBES | self.index << 32 | number as u64;
             let mut context = PathContext::new(Stream::new(Sampler::Sobol, self.settings.seed, stream, 0));
             loop {
                 let wanted = enough(pixel);

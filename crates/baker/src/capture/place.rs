@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::radiance::path::Path;
 use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
-use crate::sampling::{Sampler, Stream, fibonacci_sphere};
+use crate::sampling::{Sampler, Stream, fibonacci_sphere, streams};
 use crate::trace::Hit;
 
 /// How probes are placed.
@@ -143,16 +143,13 @@ impl Candidate {
 
 /// No light, and backs around, single-sided or not.
 fn is_dark_solid(path: &Path, position: Vec3, directions: &[Vec3], index: u64) -> bool {
-    let mut context = PathContext::new(Stream::new(Sampler::Sobol, 0, PLACE_STREAMS | index, 0));
+    let mut context = PathContext::new(Stream::new(Sampler::Sobol, 0, streams::CANDIDATES | index, 0));
     let lit = directions.iter().zip(0..).any(|(direction, sample)| {
         context.sample = sample;
         path.radiance(position, *direction, &mut context).value != Vec3::ZERO
     });
     !lit && context.backs as f64 > SOLID_BACKS * directions.len() as f64
 }
-
-/// Streams of candidates stand apart from those of nodes and probes.
-const PLACE_STREAMS: u64 = 3 << 61;
 
 #[cfg(test)]
 mod tests {

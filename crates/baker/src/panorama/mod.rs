@@ -68,7 +68,7 @@ pub struct Tap {
 /// of a textured box with a sphere, half-float distances, and geometry that is up to 3 % off: mean error of a lookup
 /// was 6.6 % at 0.001, 4.4 % at 0.01, 3.8 % at 0.02, **3.6 % at 0.03**, 3.9 % at 0.05, 4.4 % at 0.15, and 5.8 % when
 /// every finite pixel lends.
-const PLANE_TOLERANCE: f32 = 0.03;
+pub(crate) const PLANE_TOLERANCE: f32 = 0.03;
 
 impl Panorama {
     /// A panorama of `width` × `height` pixels, rows from +Y down. `radiance`: linear Rec.709, finite, >= 0.

@@ -15,7 +15,7 @@ use super::punctual::Punctual;
 use super::sky::{Distant, Sky};
 use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
-use crate::sampling::{Sampler, Stream, cosine_hemisphere};
+use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Hit, Surfaces};
 
@@ -79,8 +79,6 @@ struct Walk {
 
 /// No walk goes further: with white walls a 2^-32th of the light would be left.
 const MAX_STEPS: u32 = 32;
-/// Streams of texels stand apart from those of nodes.
-const TEXEL_STREAMS: u64 = 1 << 63;
 /// Random numbers of the roulette come after those of the directions.
 const ROULETTE: u32 = 2 * MAX_STEPS;
 /// And those of next-event estimation after these.
@@ -375,7 +373,7 @@ impl<'a> Gdibl<'a> {
         }
         cache.lookup(environment, hit, |texel| {
             // Walks from all over the texel: its mean.
-            let node = TEXEL_STREAMS | u64::from(hit.triangle) << 1 | u64::from(hit.back);
+            let node = streams::TEXELS | u64::from(hit.triangle) << 1 | u64::from(hit.back);
             let stream = Stream::new(Sampler::Sobol, self.settings.seed, node, texel.index);
             let mut own = PathContext::new(stream);
             let mut sum = DVec3::ZERO;

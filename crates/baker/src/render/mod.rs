@@ -27,7 +27,7 @@ use camera::Lens;
 
 use crate::panorama::Image;
 use crate::radiance::{PathContext, Radiance, RadianceFunction, Seen};
-use crate::sampling::{Sampler, Stream};
+use crate::sampling::{Sampler, Stream, streams};
 use crate::scene::Role;
 use crate::{Control, Interrupted};
 
@@ -89,9 +89,6 @@ pub fn render(
     })
 }
 
-/// Streams of a picture's pixels stand apart from those of nodes, of probes' pixels and of texels of effects.
-const PICTURE_STREAMS: u64 = 1 << 61;
-
 /// What came of a pixel.
 struct Pixel {
     mean: Vec3,
@@ -140,7 +137,7 @@ impl<F: RadianceFunction> Renderer<'_, F> {
     /// Random numbers of a pixel; anew behind every mirror, because radiance functions count theirs from the first hit.
     fn stream(&self, view: View) -> Stream {
         let RenderSettings { sampler, seed, .. } = *self.settings;
-        Stream::new(sampler, seed, PICTURE_STREAMS | view.pixel as u64, view.mirrors)
+        Stream::new(sampler, seed, streams::PICTURES | view.pixel as u64, view.mirrors)
     }
 
     fn look(&self, view: View, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {

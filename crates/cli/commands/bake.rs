@@ -225,6 +225,7 @@ fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
         target_error: quality.target_error,
         seed: quality.seed.unwrap_or(defaults.seed),
         sampler: quality.sampler.unwrap_or(defaults.sampler),
+        importance: true,
         punctual: quality.punctual == Some(Punctual::Include),
         clamp: clamp(quality)?,
     })

@@ -11,17 +11,16 @@ mod nodes;
 use gdibl_runtime::sh;
 use glam::Vec3;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Mutex;
 
 pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
-use integrate::{Integrator, Moments, NodeEstimate};
+use integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
 
 use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
 use crate::sampling::{Sampler, Stream};
 use crate::{Control, Interrupted};
-use integrate::Sequence;
 
 /// How to bake.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +35,8 @@ pub struct BakeSettings {
     pub seed: u64,
     /// Where directions come from.
     pub sampler: Sampler,
+    /// Directions also go toward what is bright. Without, all are uniform: a baseline for studies.
+    pub importance: bool,
     /// Adds the direct light of punctual lights, of which radiance functions tell nothing.
     pub punctual: bool,
     /// Most that a channel of a sample's radiance may be; infinity leaves all light as it is.
@@ -50,6 +51,7 @@ impl Default for BakeSettings {
             target_error: None,
             seed: 0,
             sampler: Sampler::Sobol,
+            importance: true,
             punctual: false,
             clamp: f32::INFINITY,
         }
@@ -104,6 +106,9 @@ pub fn memory_needed(nodes: u64, settings: &BakeSettings) -> u64 {
 
 /// Samples of the pilot that finds the median irradiance, and of the first round of adaptive sampling.
 const PILOT_SAMPLES: u64 = 256;
+
+/// Nodes that stand near each other and tell each other what they see.
+const NEIGHBOURS: usize = 8;
 
 /// Bakes every node.
 pub fn bake(
@@ -233,39 +238,57 @@ fn sample_nodes(
     enough: impl Fn(u64, Option<&NodeEstimate>) -> u64 + Sync,
 ) -> Result<Sampled, Interrupted> {
     let stride = 3 * sh::coefficient_count(settings.bands);
-    let mut coefficients = vec![0.0f32; stride * nodes.len()];
-    let mut estimates = vec![Summary::default(); nodes.len()];
-    let (rays, samples) = (AtomicU64::new(0), AtomicU64::new(0));
-    let places = coefficients.par_chunks_exact_mut(stride).zip(estimates.par_iter_mut()).enumerate();
-    places.with_max_len(8).try_for_each_init(
-        || Integrator::new(settings.bands, settings.clamp),
-        |integrator, (index, (out, summary))| {
-            let (mut own_rays, mut own_samples) = (0, 0);
-            let origin = nodes.ray_origin(index, function.frame());
-            let known = if settings.punctual { punctual_light(function, origin, &mut own_rays) } else { NO_LIGHT };
-            let estimate = integrator.integrate(
-                Sequence { sampler: settings.sampler, seed: settings.seed, node: index as u64 },
-                |point| function.guide().propose(origin, point),
-                &known,
-                &mut own_rays,
-                // A node may take minutes: its rays stop, too.
-                |direction, context| (!control.cancelled()).then(|| function.radiance(origin, direction, context)),
-                |done, estimate| {
-                    own_samples = enough(done, estimate).max(done);
-                    own_samples
-                },
-            )?;
-            for (value, sum) in out.chunks_exact_mut(3).zip(&estimate.sh) {
-                value.copy_from_slice(&sum.map(|s| s as f32));
+    let sampled = Sampled {
+        sh: vec![0.0f32; stride * nodes.len()],
+        estimates: vec![Summary::default(); nodes.len()],
+        rays: 0,
+        samples: 0,
+    };
+    let sampled = Mutex::new(sampled);
+    let integration = IntegratorSettings {
+        bands: settings.bands,
+        clamp: settings.clamp,
+        importance: settings.importance,
+    };
+    nodes.neighbourhoods().par_chunks(NEIGHBOURS).with_max_len(1).try_for_each_init(
+        || Integrator::new(integration),
+        |integrator, neighbours| {
+            let mut known_rays = 0;
+            let places: Vec<Place> = neighbours
+                .iter()
+                .map(|&index| {
+                    let origin = nodes.ray_origin(index as usize, function.frame());
+                    let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node: index.into() };
+                    let known = match settings.punctual {
+                        true => punctual_light(function, origin, &mut known_rays),
+                        false => NO_LIGHT,
+                    };
+                    Place { sequence, origin, known }
+                })
+                .collect();
+            // A node may take minutes: its rays stop, too.
+            let radiance = |origin: Vec3, direction: Vec3, context: &mut PathContext| {
+                (!control.cancelled()).then(|| function.radiance(origin, direction, context))
+            };
+            let estimates = integrator.integrate(function.guide(), &places, radiance, &enough)?;
+            let rays = known_rays + estimates.iter().map(|estimate| estimate.rays).sum::<u64>();
+            let mut sampled = sampled.lock().expect("no worker panics");
+            for (&index, estimate) in neighbours.iter().zip(&estimates) {
+                let index = index as usize;
+                let out = &mut sampled.sh[index * stride..(index + 1) * stride];
+                for (value, sum) in out.chunks_exact_mut(3).zip(&estimate.sh) {
+                    value.copy_from_slice(&sum.map(|s| s as f32));
+                }
+                sampled.estimates[index] = Summary::from(estimate);
+                sampled.samples += estimate.samples;
             }
-            *summary = Summary::from(&estimate);
-            rays.fetch_add(own_rays, Ordering::Relaxed);
-            samples.fetch_add(own_samples, Ordering::Relaxed);
-            (control.progress)(1, own_rays);
+            sampled.rays += rays;
+            drop(sampled);
+            (control.progress)(estimates.len() as u64, rays);
             Ok(())
         },
     )?;
-    Ok(Sampled { sh: coefficients, estimates, rays: rays.into_inner(), samples: samples.into_inner() })
+    Ok(sampled.into_inner().expect("no worker panicked"))
 }
 
 const NO_LIGHT: Moments = [[0.0; 3]; sh::MAX_COEFFICIENTS];

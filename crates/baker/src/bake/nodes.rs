@@ -72,6 +72,25 @@ impl Nodes {
         }
     }
 
+    /// All indices, so ordered that those in a row stand near each other: along a Z-order
+    /// curve (Morton, 1966) through their box.
+    pub(super) fn neighbourhoods(&self) -> Vec<u32> {
+        const BITS: u32 = 10;
+        let mut bounds = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        (0..self.len()).map(|i| self.position(i)).for_each(|p| bounds = (bounds.0.min(p), bounds.1.max(p)));
+        let cell = (bounds.1 - bounds.0).max_element().max(f64::MIN_POSITIVE) / f64::from((1 << BITS) - 1);
+        let code = |index: &u32| {
+            let place = (self.position(*index as usize) - bounds.0) / cell;
+            let bits = |number: f64, axis: u32| {
+                (0..BITS).map(|bit| (number as u32 >> bit & 1) << (3 * bit + axis)).sum::<u32>()
+            };
+            (bits(place.x, 0) | bits(place.y, 1) | bits(place.z, 2), *index)
+        };
+        let mut order: Vec<u32> = (0..self.len() as u32).collect();
+        order.sort_by_cached_key(code);
+        order
+    }
+
     /// No node at all.
     pub fn is_empty(&self) -> bool {
         self.len() == 0

@@ -1,26 +1,35 @@
 //! Directions toward what is bright in a panorama, with a density proportional to it.
 //!
-//! The panorama is bilinear between pixel centres, so the density is, too: a *cell* lies between four centres (half
-//! a cell high above the first and below the last row). A cell is chosen by its integral, a place within by the
-//! bilinear function of its corners. So a sun of 1e9 in one pixel is found by construction, and the ratio of
-//! radiance to density varies by the tilt of one cell alone. Based on: Pharr, Jakob, Humphreys, "Physically Based
+//! The panorama is bilinear between pixel centres, so the density over longitude and latitude is, too: a *cell* lies between
+//! four centres (half a cell high above the first and below the last row). A cell is chosen by its integral, a place within
+//! by the bilinear function of the light at its corners. So a sun of 1e9 in one pixel is found by construction, and the
+//! ratio of radiance to density varies within a cell by what the cosine of the latitude is off a straight line. Based on: Pharr, Jakob, Humphreys, "Physically Based
 //! Rendering", 4th ed., 2023, §2.4 and §A.5.
 
 use glam::Vec3;
 use std::f64::consts::PI;
 
 use super::Panorama;
+use super::tiles::{Cell, TileChoice, Tiles, choose};
 
 /// Density over directions, built once per panorama.
 #[derive(Debug, Clone)]
 pub struct Importance {
     width: usize,
     height: usize,
-    /// Mean of R, G and B per pixel.
-    brightness: Vec<f32>,
-    /// `rows[j]`: share of all light above cell row j; `height + 2` entries, the last is 1.
+    /// Mean of R, G and B per pixel, times the cosine of its latitude: the light of equal steps in longitude and latitude.
+    light: Vec<f32>,
+    tiles: Tiles,
+    /// Share of the light in each tile.
+    power: Vec<f64>,
+    /// Tiles by their light.
+    by_power: TileChoice,
+    /// Of each tile, one behind the other: share of its light above each of its cell rows; the last is 1.
     rows: Vec<f64>,
-    /// `columns[j][i]`: share of row j's light left of cell i; `width + 1` entries per row.
+    /// Where a tile's begin.
+    first_row: Vec<usize>,
+    /// Of each cell row and each tile in it: share of that light left of each cell; the last is 1. In its own tile a dim
+    /// cell keeps its digits beside a sun of 1e9.
     columns: Vec<f32>,
     /// Integral of the density before normalisation.
     total: f64,
@@ -30,34 +39,92 @@ impl Importance {
     /// `None` for a black panorama: nothing in it is worth a ray.
     pub fn new(panorama: &Panorama) -> Option<Importance> {
         let (width, height) = (panorama.width(), panorama.height());
-        let brightness: Vec<f32> = panorama.pixels().iter().map(|p| (p[0] + p[1] + p[2]) / 3.0).collect();
-        let mut importance = Importance { width, height, brightness, rows: vec![0.0], columns: Vec::new(), total: 0.0 };
+        let cosine = |row: usize| (PI * (0.5 - (row as f64 + 0.5) / height as f64)).cos() as f32;
+        let light = panorama.pixels().iter().enumerate();
+        let light = light.map(|(i, p)| (p[0] + p[1] + p[2]) / 3.0 * cosine(i / width)).collect();
+        let tiles = Tiles::new(width, height);
+        let columns = vec![0.0; (height + 1) * (width + tiles.across())];
+        let mut importance = Importance {
+            width,
+            height,
+            light,
+            power: vec![0.0; tiles.len()],
+            by_power: TileChoice::new(&tiles, &vec![0.0; tiles.len()]),
+            rows: Vec::new(),
+            first_row: Vec::new(),
+            columns,
+            total: 0.0,
+            tiles,
+        };
+        for tile in 0..importance.tiles.len() {
+            importance.first_row.push(importance.rows.len());
+            importance.power[tile] = importance.fill_tile(tile);
+        }
+        importance.total = importance.power.iter().sum();
+        let total = importance.total;
+        importance.power.iter_mut().for_each(|power| *power /= total);
+        importance.by_power = TileChoice::new(&importance.tiles, &importance.power);
+        (total > 0.0 && total.is_finite()).then_some(importance)
+    }
+
+    /// Cumulative shares of one tile's rows and columns; returns its integral.
+    fn fill_tile(&mut self, tile: usize) -> f64 {
         let mut sum = 0.0;
-        for row in 0..=height {
+        let start = self.rows.len();
+        self.rows.push(0.0);
+        for row in self.tiles.rows(tile) {
+            let line = self.line(row, tile);
             let mut along = 0.0;
-            importance.columns.push(0.0);
-            let start = importance.columns.len();
-            for column in 0..width {
-                let [a, b, c, d] = importance.corners(row, column);
-                along += f64::from(a) + f64::from(b) + f64::from(c) + f64::from(d);
-                importance.columns.push(along as f32);
+            let mut cumulative = vec![0.0];
+            for column in self.tiles.columns(tile) {
+                along += self.corners(row, column).map(f64::from).iter().sum::<f64>();
+                cumulative.push(along);
             }
             let scale = if along > 0.0 { 1.0 / along } else { 0.0 };
-            importance.columns[start..].iter_mut().for_each(|c| *c = (f64::from(*c) * scale).min(1.0) as f32);
-            sum += along * 0.25 / width as f64 * importance.row_height(row) * importance.row_cosine(row);
-            importance.rows.push(sum);
+            let shares = self.columns[line].iter_mut().zip(cumulative);
+            shares.for_each(|(share, sum)| *share = (sum * scale).min(1.0) as f32);
+            sum += along * 0.25 / self.width as f64 * self.row_height(row);
+            self.rows.push(sum);
         }
-        importance.rows.iter_mut().for_each(|r| *r /= sum);
-        importance.total = sum;
-        (sum > 0.0 && sum.is_finite()).then_some(importance)
+        let scale = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+        self.rows[start..].iter_mut().for_each(|share| *share *= scale);
+        sum
+    }
+
+    /// Where the columns of a cell row within a tile are kept.
+    fn line(&self, row: usize, tile: usize) -> std::ops::Range<usize> {
+        let columns = self.tiles.columns(tile);
+        let start = row * (self.width + self.tiles.across()) + columns.start + self.tiles.sector(tile);
+        start..start + columns.len() + 1
+    }
+
+    /// The tiles that the sky is cut into.
+    pub fn tiles(&self) -> &Tiles {
+        &self.tiles
+    }
+
+    /// Share of all light in each tile.
+    pub fn power(&self) -> &[f64] {
+        &self.power
     }
 
     /// A direction for a point of the unit square, and its density per steradian.
     pub fn sample(&self, point: [f32; 2]) -> (Vec3, f32) {
+        let (tile, point) = self.by_power.choose(point);
+        self.sample_in(tile, point)
+    }
+
+    /// A direction in a tile, by the light in it, and the density per steradian that [`Importance::sample`] returns it with.
+    pub fn sample_in(&self, tile: usize, point: [f64; 2]) -> (Vec3, f32) {
         // The row, then the cell, then the place in it; what is left of each number goes on.
-        let (row, v) = choose(point[0].into(), self.height + 1, |i| self.rows[i]);
-        let line = &self.columns[row * (self.width + 1)..(row + 1) * (self.width + 1)];
-        let (column, u) = choose(point[1].into(), self.width, |i| f64::from(line[i]));
+        let rows = self.tiles.rows(tile);
+        let shares = &self.rows[self.first_row[tile]..][..=rows.len()];
+        let (row, v) = choose(point[0], rows.len(), |i| shares[i]);
+        let row = rows.start + row;
+        let columns = self.tiles.columns(tile);
+        let shares = &self.columns[self.line(row, tile)];
+        let (column, u) = choose(point[1], columns.len(), |i| f64::from(shares[i]));
+        let column = columns.start + column;
         let [a, b, c, d] = self.corners(row, column).map(f64::from);
         let y = linear(v, a + b, c + d);
         let x = linear(u, a + (c - a) * y, b + (d - b) * y);
@@ -66,41 +133,43 @@ impl Importance {
         let longitude = 2.0 * PI * (0.5 - (column as f64 + 0.5 + x) / self.width as f64);
         let (sin, cos) = latitude.sin_cos();
         let direction = glam::DVec3::new(cos * longitude.sin(), sin, cos * longitude.cos()).as_vec3();
-        let brightness = (a + (b - a) * x) * (1.0 - y) + (c + (d - c) * x) * y;
-        (direction, self.density_at(row, cos, brightness))
+        let light = (a + (b - a) * x) * (1.0 - y) + (c + (d - c) * x) * y;
+        (direction, self.density_at(cos, light))
     }
 
     /// Density per steradian with which [`Importance::sample`] returns `direction`.
     pub fn density(&self, direction: Vec3) -> f32 {
-        let (u, v) = Panorama::uv(direction);
-        let row = ((f64::from(v) * self.height as f64 + 0.5) as usize).min(self.height);
-        let px = f64::from(u) * self.width as f64 - 0.5;
-        let column = px.floor().rem_euclid(self.width as f64) as usize % self.width;
-        let x = px - px.floor();
-        let y = ((f64::from(v) - self.row_top(row)) / self.row_height(row)).clamp(0.0, 1.0);
+        self.density_and_tile(direction).0
+    }
+
+    /// The same, and the tile that holds `direction`.
+    pub fn density_and_tile(&self, direction: Vec3) -> (f32, usize) {
+        let Cell { row, column, x, v } = self.tiles.cell(direction);
+        let y = ((v - self.row_top(row)) / self.row_height(row)).clamp(0.0, 1.0);
         let [a, b, c, d] = self.corners(row, column).map(f64::from);
-        let brightness = (a + (b - a) * x) * (1.0 - y) + (c + (d - c) * x) * y;
-        self.density_at(row, (PI * (0.5 - f64::from(v))).cos(), brightness)
+        let light = (a + (b - a) * x) * (1.0 - y) + (c + (d - c) * x) * y;
+        let density = self.density_at((PI * (0.5 - v)).cos(), light);
+        (density, self.tiles.of_cell(row, column))
     }
 
-    /// p(u, v) = brightness · cos(latitude of the row's middle) / total; p(ω) = p(u, v) / (2π² cos(latitude)).
-    fn density_at(&self, row: usize, cosine: f64, brightness: f64) -> f32 {
-        let flat = brightness * self.row_cosine(row) / self.total;
-        (flat / (2.0 * PI * PI * cosine.max(1e-12))) as f32
+    /// Mean of the radiance over the sphere.
+    pub fn mean(&self) -> f64 {
+        // ∫ L dω = 2π² ∫∫ L cos(latitude) du dv, over 4π.
+        0.5 * PI * self.total
     }
 
-    /// Brightness at the corners of a cell: upper left, upper right, lower left, lower right.
+    /// p(u, v) = light / total; p(ω) = p(u, v) / (2π² cos(latitude)).
+    fn density_at(&self, cosine: f64, light: f64) -> f32 {
+        (light / self.total / (2.0 * PI * PI * cosine.max(1e-12))) as f32
+    }
+
+    /// Light at the corners of a cell: upper left, upper right, lower left, lower right. At the poles there is none.
     fn corners(&self, row: usize, column: usize) -> [f32; 4] {
-        let upper = row.max(1) - 1;
-        let lower = row.min(self.height - 1);
         let right = if column + 1 == self.width { 0 } else { column + 1 };
-        [
-            upper * self.width + column,
-            upper * self.width + right,
-            lower * self.width + column,
-            lower * self.width + right,
-        ]
-        .map(|i| self.brightness[i])
+        let line = |row: usize| [row * self.width + column, row * self.width + right].map(|i| self.light[i]);
+        let [a, b] = if row > 0 { line(row - 1) } else { [0.0; 2] };
+        let [c, d] = if row < self.height { line(row) } else { [0.0; 2] };
+        [a, b, c, d]
     }
 
     /// v where a row of cells begins.
@@ -112,23 +181,6 @@ impl Importance {
         let cells = if row == 0 || row == self.height { 0.5 } else { 1.0 };
         cells / self.height as f64
     }
-
-    fn row_cosine(&self, row: usize) -> f64 {
-        (PI * (0.5 - (self.row_top(row) + self.row_height(row) / 2.0))).cos()
-    }
-}
-
-/// The interval of a cumulative distribution (`cumulative(0) = 0` … `cumulative(count) = 1`) that holds `point`, and
-/// where in it, 0..1. Never an empty interval.
-fn choose(point: f64, count: usize, cumulative: impl Fn(usize) -> f64) -> (usize, f64) {
-    // First index whose upper end lies beyond the point.
-    let (mut low, mut high) = (0, count - 1);
-    while low < high {
-        let middle = (low + high) / 2;
-        if cumulative(middle + 1) > point { high = middle } else { low = middle + 1 }
-    }
-    let (start, end) = (cumulative(low), cumulative(low + 1));
-    (low, if end > start { ((point - start) / (end - start)).clamp(0.0, 1.0) } else { 0.5 })
 }
 
 /// Inverse of the cumulative of a density that runs linearly from `a` to `b` over 0..=1.

@@ -23,6 +23,7 @@ mod grid;
 mod image;
 mod importance;
 mod mapping;
+mod tiles;
 #[cfg(test)]
 mod tolerance;
 
@@ -34,6 +35,7 @@ pub use convert::{from_lat_long, to_lat_long};
 pub(crate) use grid::PixelGrid;
 pub use image::Image;
 pub use importance::Importance;
+pub use tiles::{TileChoice, Tiles};
 pub use mapping::{Mapping, guess_from_aspect};
 
 /// A lat-long panorama in gdibl's orientation; see the module for the mapping.

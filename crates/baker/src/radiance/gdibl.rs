@@ -225,8 +225,9 @@ impl<'a> Gdibl<'a> {
             let (met, opacity, t) = match (object, near) {
                 (Some(hit), _) => (Met::Object(hit), hit.opacity, hit.t),
                 (None, Some(hit)) => (Met::Environment(hit), hit.opacity, hit.t),
-                (None, None) => (Met::Nothing, 1.0, 0.0),
+                (None, None) => (Met::Nothing, 1.0, f32::INFINITY),
             };
+            context.reach.get_or_insert(t);
             let part = radiance(met, context);
             sum.value += part.value * (clear * opacity);
             sum.coverage += part.coverage * (clear * opacity);
@@ -473,6 +474,7 @@ impl RadianceFunction for Gdibl<'_> {
     }
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
+        context.reach = None;
         self.radiance_along(origin, direction, Walk::default(), context)
     }
 

@@ -5,6 +5,7 @@ mod effects;
 mod emitters;
 pub mod gdibl;
 mod guide;
+mod outlook;
 pub mod path;
 mod punctual;
 mod seen;
@@ -14,7 +15,8 @@ use glam::Vec3;
 
 use crate::sampling::Stream;
 use crate::trace::Frame;
-pub use guide::Guide;
+pub use guide::{Guide, Technique, UNIFORM_SHARE};
+pub use outlook::{Glance, GlanceSums, Outlook};
 pub use seen::Seen;
 pub use sky::Distant;
 
@@ -84,13 +86,15 @@ pub struct PathContext {
     pub rays: u64,
     /// First hits on the back of a triangle, by its winding, single-sided or not.
     pub backs: u64,
+    /// Trace units to what the ray at hand met first, infinite where it escaped; `None` until it is known.
+    pub reach: Option<f32>,
     scratch: gdibl::Scratch,
 }
 
 impl PathContext {
     /// For the given stream of points.
     pub fn new(stream: Stream) -> Self {
-        PathContext { stream, sample: 0, rays: 0, backs: 0, scratch: Default::default() }
+        PathContext { stream, sample: 0, rays: 0, backs: 0, reach: None, scratch: Default::default() }
     }
 
     /// Random numbers `pair` of the sample at hand.

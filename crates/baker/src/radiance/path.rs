@@ -291,6 +291,7 @@ impl RadianceFunction for Path<'_> {
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         let first = self.meet(origin, direction, context);
+        context.reach = Some(first.map_or(f32::INFINITY, |hit| hit.t));
         context.backs += u64::from(first.is_some_and(|hit| hit.back));
         Radiance::covered(self.light(direction, first, context))
     }

@@ -19,7 +19,7 @@ use integrate::{Integrator, Moments, NodeEstimate};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
 
 use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
-use crate::sampling::{Sampler, Stream};
+use crate::sampling::{Sampler, Stream, uniform_sphere};
 use crate::{Control, Interrupted};
 use integrate::Sequence;
 
@@ -36,6 +36,8 @@ pub struct BakeSettings {
     pub seed: u64,
     /// Where directions come from.
     pub sampler: Sampler,
+    /// Directions also go toward what is bright. Without: uniform ones alone, a baseline for studies.
+    pub importance: bool,
     /// Adds the direct light of punctual lights, of which radiance functions tell nothing.
     pub punctual: bool,
     /// Most that a channel of a sample's radiance may be; infinity leaves all light as it is.
@@ -50,6 +52,7 @@ impl Default for BakeSettings {
             target_error: None,
             seed: 0,
             sampler: Sampler::Sobol,
+            importance: true,
             punctual: false,
             clamp: f32::INFINITY,
         }
@@ -245,7 +248,10 @@ fn sample_nodes(
             let known = if settings.punctual { punctual_light(function, origin, &mut own_rays) } else { NO_LIGHT };
             let estimate = integrator.integrate(
                 Sequence { sampler: settings.sampler, seed: settings.seed, node: index as u64 },
-                |point| function.guide().propose(origin, point),
+                |point| match settings.importance {
+                    true => function.guide().propose(origin, point),
+                    false => (uniform_sphere(point), 1.0),
+                },
                 &known,
                 &mut own_rays,
                 // A node may take minutes: its rays stop, too.

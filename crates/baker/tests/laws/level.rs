@@ -158,6 +158,7 @@ pub const SMALL: BakeSettings = BakeSettings {
     target_error: None,
     seed: 3,
     sampler: gdibl_baker::sampling::Sampler::Sobol,
+    importance: true,
     punctual: false,
     clamp: f32::INFINITY,
 };

@@ -1,6 +1,6 @@
 //! A study in words: for the terminal, and for the page.
 
-use gdibl_baker::analyse::study::{BreakEven, CostAt, Floor, PATH, Study};
+use gdibl_baker::analyse::study::{BreakEven, CostAt, Floor, GDIBL, PATH, Study};
 
 use crate::commands::study::Report;
 
@@ -63,7 +63,11 @@ fn capture_lines(study: &Study) -> Vec<String> {
         Some(BreakEven::Never) => {
             "break-even: never; path takes less per node, even with the capture for nothing".into()
         }
-        None => return vec![cost],
+        None => {
+            let comes = |name| study.methods.iter().find(|method| method.name == name).map(|m| m.at_noise.is_some());
+            let Some(false) = comes(GDIBL) else { return vec![cost] };
+            format!("break-even: not known; gdibl does not come to {} noise", round_percent(study.target))
+        }
     };
     vec![cost, pays]
 }

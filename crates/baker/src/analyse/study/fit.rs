@@ -4,6 +4,8 @@ use super::{CostAt, Floor, Point};
 
 /// A noise that falls slower than this, as a slope of logarithms, is not extrapolated: it comes to nothing.
 const LEAST_FALL: f64 = 0.1;
+/// Points at an end of the ladder that tell how it goes on: noise that has come to a stand does so for good.
+const END: usize = 3;
 /// Noise that grows by more than this with more directions does not do so by chance.
 const JUMP: f64 = 1.5;
 /// Variance of bias² under this is that of rounding.
@@ -80,12 +82,13 @@ fn independent_of(points: &[Point], fixed: f64) -> Option<f64> {
     (mean > 0.0).then(|| 1.0 / mean)
 }
 
-/// What the noise `target` costs: between the two points around it on a straight line of logarithms; past the last and
-/// before the first by `slope`, cost growing with directions. Of several crossings the last: with more, noise stays under.
-pub(super) fn cost_at(points: &[Point], target: f64, slope: Option<f64>) -> Option<CostAt> {
+/// What the noise `target` costs: between the two points around it on a straight line of logarithms; past the last by the
+/// slope of the last three, before the first by that of the first three, cost growing with directions. Of several crossings
+/// the last: with more, noise stays under.
+pub(super) fn cost_at(points: &[Point], target: f64) -> Option<CostAt> {
     let cost = |point: &Point| point.milliseconds_per_node.middle;
-    let outside = |point: &Point| {
-        let fall = -slope.filter(|slope| -slope >= LEAST_FALL)?;
+    let outside = |point: &Point, end: &[Point]| {
+        let fall = -slope_of(end).filter(|slope| -slope >= LEAST_FALL)?;
         let times = (point.noise.middle / target).powf(1.0 / fall);
         Some(CostAt { milliseconds_per_node: cost(point) * times, extrapolated: true })
     };
@@ -93,11 +96,12 @@ pub(super) fn cost_at(points: &[Point], target: f64, slope: Option<f64>) -> Opti
         // Less than the least that was tried; how much less, only a slope tells.
         let first = points.first()?;
         let tried = CostAt { milliseconds_per_node: cost(first), extrapolated: true };
-        return Some(outside(first).filter(|at| at.milliseconds_per_node > 0.0).unwrap_or(tried));
+        let end = &points[..points.len().min(END)];
+        return Some(outside(first, end).filter(|at| at.milliseconds_per_node > 0.0).unwrap_or(tried));
     };
     let [a, b] = match points.get(over..over + 2) {
         Some([a, b]) => [a, b],
-        _ => return outside(&points[over]),
+        _ => return outside(&points[over], &points[points.len().saturating_sub(END)..]),
     };
     let [from, to] = [a, b].map(|point| point.noise.middle.ln());
     // Down to no noise at all: no line of logarithms.

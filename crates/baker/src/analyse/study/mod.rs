@@ -261,8 +261,8 @@ impl Method {
         Method {
             name,
             about,
-            at_noise: cost_at(&points, target, slope),
-            at_error: (room > 0.0).then(|| cost_at(&points, room.sqrt(), slope)).flatten(),
+            at_noise: cost_at(&points, target),
+            at_error: (room > 0.0).then(|| cost_at(&points, room.sqrt())).flatten(),
             erratic: is_erratic(&points),
             points,
             slope,

@@ -232,6 +232,11 @@ fn cost_at_an_error_lies_on_the_line_between_points_and_beyond_them() {
     let none = of(ladder(&BUDGETS, |_| 0.0, |n| n, 0.0));
     assert_eq!(none.slope, None);
     assert_eq!(none.at_noise, Some(CostAt { milliseconds_per_node: 64.0, extrapolated: true }));
+    // Nor does one that fell at first and has come to a stand.
+    let stands = of(ladder(&BUDGETS, |n| (3.0 / n.sqrt()).max(0.05), |n| n, 0.0));
+    assert!(stands.slope.unwrap() < -0.4 && stands.at_noise.is_some(), "the last three still fall: {stands:?}");
+    let stands = of(ladder(&BUDGETS, |n| (3.0 / n.sqrt()).max(0.15), |n| n, 0.0));
+    assert_eq!(stands.at_noise, None);
     // One budget has no slope.
     let single = of(ladder(&[256], one_over_root(1.0), |n| n, 0.0));
     assert_eq!((single.slope, single.at_noise), (None, None));

@@ -1,18 +1,18 @@
 //! What a study writes for people and for tables: one HTML page without anything outside of it, and a CSV.
 
-use gdibl_baker::analyse::study::{CostAt, Method, Spread, Study};
+use gdibl_baker::analyse::study::{CostAt, Method, PATH, Spread, Study};
 use std::fmt::Write;
 
 use super::words::{cost_text, floor_range, number, percent, reference_noise_text, round_percent, times_text, verdict};
 use crate::commands::study::Report;
 
-const STYLE: &str = "body{font:16px/1.5 system-ui,'DejaVu Sans',sans-serif;color:#1b1f24;background:#fff;max-width:1000px;\
+const STYLE: &str = "body{font:16px/1.5 system-ui,'DejaVu Sans',sans-serif;color:#1b1f24;background:#fff;max-width:1180px;\
 margin:2rem auto;padding:0 1rem}h1{font-size:1.6rem;margin-bottom:.2rem}h2{font-size:1.2rem;margin-top:2rem}\
-.under{color:#57606a;margin-top:0}table{border-collapse:collapse;font-size:14px;width:100%}\
+.under{color:#57606a;margin-top:0}table{border-collapse:collapse;font-size:13px}\
 th,td{text-align:right;padding:.22rem .6rem;border-bottom:1px solid #e5e8eb;font-variant-numeric:tabular-nums}\
 th{border-bottom:2px solid #8a939c;vertical-align:bottom}th:first-child,td:first-child,td.words{text-align:left}\
 tr.first td{border-top:1px solid #8a939c}.verdict{background:#f3f6f9;padding:.8rem 1rem;border-radius:6px}\
-.verdict p{margin:.2rem 0}.verdict p.inner{margin-left:1.2rem}svg{width:100%;height:auto}dt{font-weight:600}dd{margin:0 0 .4rem 0}\
+.verdict p{margin:.2rem 0}.verdict p.inner{margin-left:1.2rem}svg{width:100%;max-width:1000px;height:auto}dt{font-weight:600}dd{margin:0 0 .4rem 0}\
 .wide{overflow-x:auto}td{white-space:nowrap}td.words{white-space:normal;min-width:14rem}";
 
 /// Text as HTML and SVG take it.
@@ -123,7 +123,10 @@ fn methods_table(study: &Study) -> String {
         let at = |cost: Option<CostAt>, never: &str| cost.map_or(never.to_string(), cost_text);
         let cells = [
             at(method.at_noise, "not known"),
-            method.times_less.map_or(String::new(), |times| escape(&times_text(times)).replace(" than", "")),
+            method
+                .times_less
+                .filter(|_| method.name != PATH)
+                .map_or(String::new(), |times| times_text(times).replace(" than", "")),
             at(method.at_error, if method.floor.low >= study.target { "never" } else { "not known" }),
             floor_range(&method.floor),
             method.slope.map_or(String::new(), |slope| format!("{slope:.2}").replace('-', "−")),

@@ -16,6 +16,8 @@ const LEFT: f64 = 86.0;
 const RIGHT: f64 = 706.0;
 const TOP: f64 = 46.0;
 const BOTTOM: f64 = 500.0;
+/// Length of the words at a slanted line, and some.
+const WORDS: f64 = 340.0;
 /// Height of a name.
 const LINE: f64 = 19.0;
 
@@ -205,15 +207,19 @@ impl Panel<'_> {
                 format_args!("<path d=\"M{LEFT} {from:.1}L{RIGHT} {to:.1}\" stroke=\"#cfd4da\" stroke-width=\"1\"/>"),
             );
         }
-        // The middle one has the words, above it.
-        let decade = (0.25 * corner(x0, y0) + 0.75 * corner(x1, y1)).round() as i32;
-        let at = |x: f64| [self.x.place(x), self.y.place((10f64.powi(decade) / x).sqrt())];
-        let (a, b) = (at(x0), at(x1));
+        // The uppermost that is long enough has the words, above it.
+        let segment = |decade: i32| {
+            let at = |x: f64| [self.x.place(x), self.y.place((10f64.powi(decade) / x).sqrt())];
+            let (a, b) = (at(x0), at(x1));
+            // The part of it inside the picture, as shares of its way.
+            let [from, to] = [TOP, BOTTOM].map(|y| ((y - a[1]) / (b[1] - a[1])).clamp(0.0, 1.0));
+            [from, to].map(|share| [0, 1].map(|axis| a[axis] + share * (b[axis] - a[axis])))
+        };
+        let segments = (corner(x0, y0).floor() as i32..=corner(x1, y1).ceil() as i32).rev().map(segment);
+        let length = |[a, b]: &[[f64; 2]; 2]| (b[0] - a[0]).hypot(b[1] - a[1]);
+        let Some([a, b]) = segments.into_iter().find(|segment| length(segment) > WORDS) else { return };
         let angle = (b[1] - a[1]).atan2(b[0] - a[0]);
-        // Where it is in the picture, rather to the left.
-        let share = |y: f64| ((y - a[1]) / (b[1] - a[1])).clamp(0.0, 1.0);
-        let middle = 0.6 * share(TOP) + 0.4 * share(BOTTOM);
-        let [x, y] = [0, 1].map(|axis| a[axis] + middle * (b[axis] - a[axis]));
+        let [x, y] = [0, 1].map(|axis| 0.5 * (a[axis] + b[axis]));
         let turned = format!(
             "text-anchor=\"middle\" fill=\"#8a939c\" font-size=\"12\" transform=\"rotate({:.2} {x:.1} {y:.1}) \
              translate(0 -5)\"",

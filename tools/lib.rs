@@ -9,10 +9,7 @@ use gdibl_baker::import::reference::read_reference;
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::{Distant, RadianceFunction};
-use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::scene::Scene;
-use gdibl_baker::volume::{PackSettings, Precision, pack};
-use gdibl_runtime::Volume;
 use glam::{DVec3, Quat};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -67,34 +64,4 @@ pub fn read_lighting(folder: &Path) -> (Vec<Probe>, Distant) {
 pub fn bake_all(function: &impl RadianceFunction, nodes: &Nodes, settings: &BakeSettings) -> Baked {
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
     bake(nodes, function, settings, &control).expect("nobody interrupts a tool")
-}
-
-/// What an engine would load: packed in single floats and parsed again.
-pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
-    let records = Records {
-        settings: SettingsRecord {
-            writer: "gdibl tools".into(),
-            level: String::new(),
-            method: "gdibl".into(),
-            blend: String::new(),
-            scene: String::new(),
-            sampler: String::new(),
-            samples: baked.samples,
-            target_error: None,
-            seed: 0,
-        },
-        plan: Vec::new(),
-        probes: Vec::new(),
-        statistics: StatisticsRecord {
-            nodes: baked.valid.len() as u64,
-            nodes_valid: baked.valid.iter().filter(|v| **v).count() as u64,
-            rays: baked.rays,
-            samples: baked.samples,
-            relative_error: None,
-            coverage: 0.0,
-            findings: Vec::new(),
-        },
-    };
-    let settings = PackSettings { precision: Precision::F32, zstd: false };
-    Volume::parse(&pack(nodes, baked, &records, settings)).expect("what was packed parses")
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, capture, place_probes};
+use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, Placement, capture, place_probes};
 use gdibl_baker::import::gltf::{TextureNeeds, read_files};
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
 use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
@@ -71,10 +71,7 @@ pub fn path_settings(config: &Config) -> Result<PathSettings, Fault> {
 /// The places that were asked for, by files in `folder`.
 pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path) -> Vec<Place> {
     let positions: Vec<DVec3> = if flags.positions.is_empty() {
-        let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
-        let settings =
-            PlaceSettings { most: flags.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
-        let placement = bounds.map(|bounds| place_probes(paths, bounds, &settings)).unwrap_or_default();
+        let placement = automatic_placement(scene, paths, flags);
         if let Some(coverage) = placement.coverage.last() {
             let share = coverage * 100.0;
             say(&format!("{} probes see {share:.1} % of what the free space sees", placement.positions.len()));
@@ -86,6 +83,13 @@ pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path)
     let digits = positions.len().saturating_sub(1).to_string().len();
     let file = |i: usize| folder.join(format!("probe_{i:0digits$}.exr"));
     positions.into_iter().enumerate().map(|(i, position)| Place { position, file: file(i) }).collect()
+}
+
+/// Where --auto places probes.
+pub fn automatic_placement(scene: &Scene, paths: &Paths, flags: &CaptureFlags) -> Placement {
+    let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
+    let settings = PlaceSettings { most: flags.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
+    bounds.map(|bounds| place_probes(paths, bounds, &settings)).unwrap_or_default()
 }
 
 /// Captures and writes every place.

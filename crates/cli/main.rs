@@ -6,6 +6,7 @@ mod config;
 mod fault;
 mod inputs;
 mod progress;
+mod study;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -35,6 +36,8 @@ enum Verb {
     Render(Box<commands::render::Arguments>),
     /// Error of a volume against another volume or a reference JSON
     Compare(commands::compare::Arguments),
+    /// Error against run time, over methods and budgets: a page to read, CSV, JSON and SVG
+    Study(Box<commands::study::Arguments>),
 }
 
 fn main() -> ExitCode {
@@ -45,6 +48,7 @@ fn main() -> ExitCode {
         Verb::Sample(arguments) => commands::sample::run(arguments),
         Verb::Render(arguments) => commands::render::run(*arguments),
         Verb::Compare(arguments) => commands::compare::run(arguments),
+        Verb::Study(arguments) => commands::study::run(*arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 /// A grey room with a lamp under its ceiling; `node` are further fields of the room's node.
-fn lamp_room(extra: impl FnOnce(&mut Level)) -> Folder {
+pub fn lamp_room(extra: impl FnOnce(&mut Level)) -> Folder {
     let folder = Folder::new();
     let mut level = Level::room([-2.0, 0.0, -2.0], [2.0, 3.0, 2.0]);
     level.json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = json!([0.5, 0.5, 0.5, 1.0]);

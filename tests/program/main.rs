@@ -11,3 +11,4 @@ mod furnace;
 mod light;
 mod reader;
 mod render;
+mod study;

@@ -9,7 +9,7 @@ pub use crate::plan::PlanRow;
 use crate::{Error, Finding, Result};
 
 /// What was asked for.
-#[derive(Debug, Clone, PartialEq, Serialize, Encode, Decode)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Encode, Decode)]
 pub struct SettingsRecord {
     /// `gdibl` and its version.
     pub writer: String,
@@ -49,7 +49,7 @@ pub struct ProbeRecord {
 }
 
 /// What came of it.
-#[derive(Debug, Clone, PartialEq, Serialize, Encode, Decode)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Encode, Decode)]
 pub struct StatisticsRecord {
     /// Nodes in the volume.
     pub nodes: u64,
@@ -91,7 +91,7 @@ impl ErrorSummary {
 }
 
 /// Everything beside the light itself.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Records {
     /// What was asked for.
     pub settings: SettingsRecord,

@@ -1,5 +1,6 @@
 //! Packs a baked volume into the bytes of a `.gdibl` file (FORMAT.md, version 1).
 
+use gdibl_runtime::Volume;
 use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, SectionEntry};
 use half::f16;
 
@@ -72,6 +73,12 @@ pub fn pack(nodes: &Nodes, baked: &Baked, records: &Records, settings: PackSetti
     sections.push((format::STATISTICS, records::encode(&records.statistics)));
 
     assemble(&header, sections, settings.zstd)
+}
+
+/// What an engine would load: packed in single floats without records, and parsed again.
+pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
+    let bytes = pack(nodes, baked, &Records::default(), PackSettings { precision: Precision::F32, zstd: false });
+    Volume::parse(&bytes).expect("what was packed parses")
 }
 
 /// Compresses what gains by it, and puts directory and sections one behind the other.

@@ -176,16 +176,22 @@ impl Job<'_> {
         let control = Control { cancel: self.cancel, progress: &|nodes, rays| progress.advance(nodes, rays) };
         let baked = bake::bake(self.nodes, function, self.settings, &control).map_err(|_| Fault::Interrupted)?;
         progress.finish();
-        if !baked.valid.contains(&true) {
-            return Err(Fault::Bound(format!(
-                "no node of {} saw anything that a probe or the distant panorama has seen, so there is nothing to fill \
-                 from and nothing was written; are the probes' positions in the level's metres, inside the same rooms \
-                 as the nodes, not in a wall?",
-                self.nodes.len()
-            )));
-        }
+        check_valid(&baked)?;
         Ok(baked)
     }
+}
+
+/// Without a valid node there is no light.
+pub fn check_valid(baked: &Baked) -> Result<(), Fault> {
+    if baked.valid.contains(&true) {
+        return Ok(());
+    }
+    Err(Fault::Bound(format!(
+        "no node of {} saw anything that a probe or the distant panorama has seen, so there is nothing to fill from and \
+         nothing was written; are the probes' positions in the level's metres, inside the same rooms as the nodes, not in \
+         a wall?",
+        baked.valid.len()
+    )))
 }
 
 fn no_capture_reason(inputs: &Inputs, method: Method, forbidden: bool) -> &'static str {
@@ -207,7 +213,7 @@ fn clamped_light(baked: &Baked, settings: &BakeSettings) -> Option<Finding> {
     })
 }
 
-fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
+pub fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
     let quality = &config.quality;
     let defaults = BakeSettings::default();
     let samples = match (quality.samples, quality.target_error) {
@@ -232,7 +238,7 @@ fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
 }
 
 /// Says what a bake needs before any of it is taken.
-fn check_memory(nodes: &Nodes, settings: &BakeSettings, limit_gib: Option<f64>) -> Result<(), Fault> {
+pub fn check_memory(nodes: &Nodes, settings: &BakeSettings, limit_gib: Option<f64>) -> Result<(), Fault> {
     let needed = bake::memory_needed(nodes.len() as u64, settings);
     let gib = f64::from(1 << 30);
     let (limit, whose) = match limit_gib {

@@ -44,14 +44,26 @@ struct Report {
 }
 
 /// A file of either kind.
-struct Input {
-    light: Kind,
-    seed: Option<u64>,
+pub struct Input {
+    pub light: Kind,
+    /// Of a volume.
+    pub seed: Option<u64>,
 }
 
-enum Kind {
+pub enum Kind {
     Volume(Box<Volume>),
     Reference(Vec<Truth>),
+}
+
+impl Input {
+    /// Its sets that have one of these names.
+    pub fn truths(self, sets: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {
+        let truths = match self.light {
+            Kind::Volume(volume) => vec![Truth::of_volume(&volume)],
+            Kind::Reference(truths) => truths,
+        };
+        chosen(truths, sets, path)
+    }
 }
 
 pub fn run(arguments: Arguments) -> Result<(), Fault> {
@@ -67,11 +79,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             found_path.display()
         )));
     };
-    let truths = match truth.light {
-        Kind::Volume(volume) => vec![Truth::of_volume(&volume)],
-        Kind::Reference(truths) => truths,
-    };
-    let truths = chosen(truths, sets, truth_path)?;
+    let truths = truth.truths(sets, truth_path)?;
     let comparison = compare(&found, &truths, &settings)
         .map_err(|nothing| Fault::Invalid(format!("{}: {nothing}", found_path.display())))?;
     let relative_rmse = comparison.all.relative_rmse;
@@ -94,7 +102,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 }
 
 /// The file's first bytes tell what it is.
-fn read(path: &Path) -> Result<Input, Fault> {
+pub fn read(path: &Path) -> Result<Input, Fault> {
     let bytes = super::read_volume_bytes(path)?;
     if is_json(&bytes) {
         return Ok(Input { light: Kind::Reference(parse_reference(path, &bytes)?), seed: None });

@@ -6,6 +6,7 @@ pub mod compare;
 pub mod inspect;
 pub mod render;
 pub mod sample;
+pub mod study;
 
 use gdibl_baker::records::{Record, decode};
 use gdibl_runtime::format::{Directory, Limits};

@@ -185,6 +185,22 @@ impl ErrorDirections {
         (values.map(|e| e * e).sum::<f64>() / (3 * DIRECTIONS) as f64).sqrt()
     }
 
+    /// E found and E of the truth, channel by channel in every direction (or at the truth's normal), in the bands of both.
+    pub(super) fn both(&self, found: &RadianceSh, truth: &Light) -> [Vec<f64>; 2] {
+        match truth {
+            Light::Irradiance { normal, irradiance } => {
+                [evaluate(&irradiance_row(*normal), found).to_vec(), irradiance.map(f64::from).to_vec()]
+            }
+            Light::Radiance(truth) => {
+                let bands = found.bands.min(truth.bands);
+                [found, truth].map(|radiance| {
+                    let radiance = radiance.truncate(bands);
+                    self.irradiance.iter().flat_map(|row| evaluate(row, &radiance)).collect()
+                })
+            }
+        }
+    }
+
     pub(super) fn compare(&self, pair: &Pair) -> NodeSums {
         let mut node = NodeSums { variance: pair.variance, ..NodeSums::default() };
         match &pair.truth {
@@ -280,8 +296,9 @@ impl Tally {
             bands: self.band_errors(),
             noise: variance.map(|v| share(v, all.square_truth).sqrt()),
             systematic: variance.map(|v| share(left(v), all.square_truth).sqrt()),
-            systematic_by_chance: variance
-                .map(|v| share(v * 2.0 * (2.0 / (self.freedom() * nodes)).sqrt(), all.square_truth).sqrt()),
+            systematic_by_chance: variance.map(|v| {
+                share(v * 2.0 * (2.0 / (independent_numbers(self.band_count) * nodes)).sqrt(), all.square_truth).sqrt()
+            }),
             per_node: summary(&per_node),
         };
         (error, per_node)
@@ -300,15 +317,6 @@ impl Tally {
         bands().map(error).collect()
     }
 
-    /// Independent numbers in E of a node whose coefficients are equally noisy: (Σ A_l²)² / Σ A_l⁴, 4.3 for L2.
-    fn freedom(&self) -> f64 {
-        let sum = |power: i32| {
-            let bands = sh::COSINE.iter().take(self.band_count.max(1)).enumerate();
-            bands.map(|(l, &a)| (2 * l + 1) as f64 * f64::from(a).powi(power)).sum::<f64>()
-        };
-        sum(2).powi(2) / sum(4)
-    }
-
     fn relative_errors(&self) -> Vec<f64> {
         let mut squares: Vec<f64> = self.nodes.iter().map(|node| node[1]).collect();
         let mean = squares.iter().sum::<f64>() / squares.len() as f64;
@@ -318,6 +326,16 @@ impl Tally {
         let floor = 0.01 * if median > 0.0 { median } else { mean };
         self.nodes.iter().map(|[difference, truth]| share(*difference, truth.max(floor)).sqrt()).collect()
     }
+}
+
+/// Independent numbers in E of a node whose coefficients are equally noisy: (Σ A_l²)² / Σ A_l⁴, 4.3 for three bands. One
+/// without bands: E at a normal.
+pub(super) fn independent_numbers(band_count: usize) -> f64 {
+    let sum = |power: i32| {
+        let bands = sh::COSINE.iter().take(band_count.max(1)).enumerate();
+        bands.map(|(l, &a)| (2 * l + 1) as f64 * f64::from(a).powi(power)).sum::<f64>()
+    };
+    sum(2).powi(2) / sum(4)
 }
 
 fn summary(errors: &[f64]) -> ErrorSummary {

@@ -4,6 +4,7 @@ mod compare;
 mod energy;
 mod error;
 mod noise;
+pub mod study;
 mod summary;
 mod truth;
 

@@ -1,0 +1,307 @@
+//! Error against run time: what repeated bakes, by several methods and with several budgets, tell of each other.
+//!
+//! Means are over places, which count alike, and there over 26 normals (or the one of the reference), R, G and B. E_r is
+//! what repeat r of R found, Ē their mean, E the reference, v the reference's own variance. All as shares of the RMS of E:
+//!
+//! ```text
+//! error²     = mean (E_r - E)²                       what `compare` says of that repeat
+//! noise²     = Σ_r mean (E_r - Ē)² / (R - 1)         no reference is needed
+//! estimated² = mean Var E_r                          what the repeats say of themselves
+//! bias²      = mean over r ≠ s of P_rs - v           P_rs = mean (E_r - E)(E_s - E)
+//! ```
+//! Repeats do not know of each other: their noise drops out of the products P_rs, so bias² is right on average and may come
+//! out negative where there is no bias. With n independent numbers in all, its variance is
+//! `(2 noise⁴/R(R-1) + 4 (bias² + v) noise²/R)/n` by the repeats, and `(2 v² + 4 bias² v)/n` by the reference. Were all nodes
+//! equally noisy and strangers to each other, n would be known; how much the P_rs of three or more repeats differ tells
+//! whether it is less. More directions do not make bias less, so the budgets are pooled, each weighed by how sure it is, to a
+//! **floor**: the error that is left with any number of directions.
+//!
+//! Who runs the bakes, and holds the clock, is the caller.
+
+mod fit;
+mod measure;
+
+use gdibl_runtime::Volume;
+use serde::Serialize;
+
+use fit::{cost_at, floor_of, is_erratic, slope_of};
+pub use measure::measure;
+
+/// The method that the others are measured by.
+pub const PATH: &str = "path";
+/// The method that is studied.
+pub const GDIBL: &str = "gdibl";
+/// The same, with the cost of capturing its probes.
+pub const GDIBL_WITH_CAPTURE: &str = "gdibl with capture";
+
+/// What a bake took.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Cost {
+    /// From start to end of the bake.
+    pub wall_seconds: f64,
+    /// Of all threads.
+    pub cpu_seconds: f64,
+    /// CPU seconds before: hierarchies, importance, line-of-sight tables. Not in the others.
+    pub setup_seconds: f64,
+    /// Rays traced, lines of sight included.
+    pub rays: u64,
+    /// Directions that left nodes.
+    pub samples: u64,
+}
+
+/// One bake of several that differ in their seeds alone.
+#[derive(Debug, Clone)]
+pub struct Repeat {
+    /// What it found.
+    pub volume: Volume,
+    /// What it took.
+    pub cost: Cost,
+}
+
+/// A figure over repeats.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Spread {
+    /// Of costs the median, of errors the root mean square.
+    pub middle: f64,
+    /// The least of them.
+    pub least: f64,
+    /// The most.
+    pub most: f64,
+}
+
+/// A method with one budget. Errors are shares of the RMS of E.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Point {
+    /// Directions per node.
+    pub budget: u64,
+    /// Wall seconds of a bake.
+    pub wall_seconds: Spread,
+    /// CPU seconds of a bake.
+    pub cpu_seconds: Spread,
+    /// CPU seconds before a bake.
+    pub setup_seconds: f64,
+    /// CPU milliseconds per node.
+    pub milliseconds_per_node: Spread,
+    /// Rays of a bake, mean.
+    pub rays: u64,
+    /// Directions of a bake, mean.
+    pub samples: u64,
+    /// Relative RMSE of E against the reference.
+    pub error: Spread,
+    /// What differs between repeats; of each one, its distance from their mean.
+    pub noise: Spread,
+    /// The noise that the bakes themselves expect; `None` where they do not know.
+    pub estimated: Option<f64>,
+    /// bias², without the noise of either side; may be negative by chance.
+    pub bias_square: f64,
+    /// 1 / (error² × CPU seconds per node).
+    pub efficiency: f64,
+    /// 1 / (noise² × CPU seconds per node).
+    pub noise_efficiency: f64,
+    /// What its statistics stand on.
+    #[serde(skip)]
+    pub ground: Ground,
+}
+
+/// What a point stands on.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Ground {
+    /// Bakes.
+    pub repeats: usize,
+    /// Places compared.
+    pub places: usize,
+    /// Independent numbers in E of all places together, were these strangers to each other.
+    pub independent: f64,
+    /// Variance of the products P_rs of different repeats; `None` with fewer than three.
+    pub product_variance: Option<f64>,
+    /// Noise of the reference; `None` where it is not known: then it is part of the bias.
+    pub reference_noise: Option<f64>,
+}
+
+/// What is left of the error with any number of directions, a share of the RMS of E.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Floor {
+    /// Most likely; 0 where noise explains all.
+    pub middle: f64,
+    /// Two standard deviations of bias² less,
+    pub low: f64,
+    /// and more.
+    pub high: f64,
+}
+
+/// What it takes to come to an error.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct CostAt {
+    /// CPU milliseconds per node.
+    pub milliseconds_per_node: f64,
+    /// The error lies outside those measured.
+    pub extrapolated: bool,
+}
+
+/// One method.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Method {
+    /// Its name.
+    pub name: String,
+    /// What it is, for a person.
+    pub about: String,
+    /// By budget, ascending.
+    pub points: Vec<Point>,
+    /// Slope of log noise over log directions: -1/2 for random directions. `None` with fewer than two budgets, or
+    /// without noise.
+    pub slope: Option<f64>,
+    /// Its noise jumps: rare, very bright directions decide, and its noise and floor are known by luck alone.
+    pub erratic: bool,
+    /// What no number of directions takes away.
+    pub floor: Floor,
+    /// When its noise is as low as [`StudySettings::target`]; `None`: never.
+    pub at_noise: Option<CostAt>,
+    /// When its error is, noise² + floor²; a floor that chance alone could make counts as none. `None`: never.
+    pub at_error: Option<CostAt>,
+    /// How many times less it takes than [`PATH`] for the same noise; under 1 where it takes more.
+    pub times_less: Option<f64>,
+}
+
+/// What capturing the probes takes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Capture {
+    /// CPU seconds for all of them.
+    pub cpu_seconds: f64,
+    /// The same on the wall.
+    pub wall_seconds: f64,
+    /// How that is known, for a person.
+    pub about: String,
+}
+
+/// From how many nodes on capturing pays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BreakEven {
+    /// Path tracing takes less per node, even without the capture.
+    Never,
+    /// From so many nodes on.
+    Nodes(u64),
+}
+
+/// What to ask of the measurements.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StudySettings {
+    /// The error at which methods are compared, a share of E.
+    pub target: f64,
+    /// Nodes of each bake.
+    pub nodes: usize,
+}
+
+/// All methods beside each other.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Study {
+    /// The error at which methods are compared, a share of E.
+    pub target: f64,
+    /// Nodes of each bake.
+    pub nodes: usize,
+    /// Places at which they were compared with the reference.
+    pub places: usize,
+    /// Noise of the reference, a share of the RMS of E; `None` where it is not known.
+    pub reference_noise: Option<f64>,
+    /// `None`: no probe is used, or nothing to capture it from.
+    pub capture: Option<Capture>,
+    /// As they were asked for.
+    pub methods: Vec<Method>,
+    /// `None`: without capture, without one of the two methods, or one of them never comes to the target.
+    pub break_even: Option<BreakEven>,
+}
+
+/// One method's name, what it is, and its points by ascending budget.
+pub type Measured = (String, String, Vec<Point>);
+
+impl Study {
+    /// Fits every method, adds [`GDIBL_WITH_CAPTURE`] behind [`GDIBL`] where the capture's cost is known, and sets them
+    /// beside [`PATH`].
+    pub fn of(measured: Vec<Measured>, capture: Option<Capture>, settings: &StudySettings) -> Study {
+        let ground = measured.iter().flat_map(|(_, _, points)| points).map(|point| point.ground).next();
+        let ground = ground.unwrap_or_default();
+        let mut methods = Vec::new();
+        for (name, about, points) in measured {
+            let method = Method::of(name, about, points, settings.target);
+            let with =
+                capture.as_ref().filter(|_| method.name == GDIBL).map(|c| method.with_capture(c, settings.nodes));
+            methods.push(method);
+            methods.extend(with);
+        }
+        let at = |methods: &[Method], name: &str| {
+            methods.iter().find(|method| method.name == name)?.at_noise.map(|at| at.milliseconds_per_node)
+        };
+        let path = at(&methods, PATH);
+        for method in &mut methods {
+            method.times_less = path.zip(method.at_noise).map(|(path, own)| path / own.milliseconds_per_node);
+        }
+        let break_even = match (&capture, at(&methods, GDIBL), path) {
+            (Some(capture), Some(own), Some(path)) => Some(break_even(1e3 * capture.cpu_seconds, own, path)),
+            _ => None,
+        };
+        Study {
+            target: settings.target,
+            nodes: settings.nodes,
+            places: ground.places,
+            reference_noise: ground.reference_noise,
+            capture,
+            methods,
+            break_even,
+        }
+    }
+}
+
+impl Method {
+    fn of(name: String, about: String, points: Vec<Point>, target: f64) -> Method {
+        let slope = slope_of(&points);
+        let floor = floor_of(&points);
+        // Noise that leaves room for the floor, where that is more than chance.
+        let bias = if floor.low > 0.0 { floor.middle } else { 0.0 };
+        let room = target.powi(2) - bias.powi(2);
+        Method {
+            name,
+            about,
+            at_noise: cost_at(&points, target),
+            at_error: (room > 0.0).then(|| cost_at(&points, room.sqrt())).flatten(),
+            erratic: is_erratic(&points),
+            points,
+            slope,
+            floor,
+            times_less: None,
+        }
+    }
+
+    /// The same light at the cost of capturing its probes, too, which all nodes share.
+    fn with_capture(&self, capture: &Capture, nodes: usize) -> Method {
+        let more = 1e3 * capture.cpu_seconds / nodes as f64;
+        let dearer = |point: &Point| {
+            let milliseconds_per_node = point.milliseconds_per_node.map(|ms| ms + more);
+            let times = milliseconds_per_node.middle / point.milliseconds_per_node.middle;
+            Point {
+                wall_seconds: point.wall_seconds.map(|seconds| seconds + capture.wall_seconds),
+                cpu_seconds: point.cpu_seconds.map(|seconds| seconds + capture.cpu_seconds),
+                milliseconds_per_node,
+                efficiency: point.efficiency / times,
+                noise_efficiency: point.noise_efficiency / times,
+                ..point.clone()
+            }
+        };
+        let later = |at: CostAt| CostAt { milliseconds_per_node: at.milliseconds_per_node + more, ..at };
+        Method {
+            name: GDIBL_WITH_CAPTURE.into(),
+            about: "gdibl, and what capturing its probes costs, shared by all nodes".into(),
+            points: self.points.iter().map(dearer).collect(),
+            at_noise: self.at_noise.map(later),
+            at_error: self.at_error.map(later),
+            ..self.clone()
+        }
+    }
+}
+
+/// `capture` in all; `own` and `path` per node, in the same unit.
+fn break_even(capture: f64, own: f64, path: f64) -> BreakEven {
+    if own < path { BreakEven::Nodes((capture / (path - own)).ceil() as u64) } else { BreakEven::Never }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,400 @@
+//! `gdibl study`: error against run time.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use gdibl_baker::analyse::Truth;
+use gdibl_baker::analyse::study::{Study, StudySettings};
+use gdibl_baker::bake::{BakeSettings, Nodes};
+use gdibl_baker::import::gltf::TextureNeeds;
+use gdibl_baker::volume::write_whole;
+use glam::DVec3;
+use serde::Serialize;
+
+use super::bake::{bake_settings, check_memory};
+use super::compare::{Kind, read};
+use crate::captures::{capture_missing, say};
+use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, set_threads};
+use crate::fault::Fault;
+use crate::inputs::{Inputs, nodes_of};
+use crate::progress::{Progress, cancel_on_interrupt};
+use crate::study::methods::{self, Circumstances, LeftOut};
+use crate::study::runner::{Ladder, Runner};
+use crate::study::{page, plot, words};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// LEVEL.glb, LEVEL.gltf or BAKE.toml
+    input: PathBuf,
+    /// Where to write: OUT.html, a page to read, OUT.csv, OUT.json and OUT.svg [default: beside the input, ending in
+    /// .study.html …]
+    #[arg(short, long, value_name = "OUT")]
+    output: Option<PathBuf>,
+    /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable
+    #[arg(long, value_name = "PATH")]
+    probes: Vec<PathBuf>,
+    /// Panorama at infinity: the sky, the street outside
+    #[arg(long, value_name = "IMAGE")]
+    distant: Option<PathBuf>,
+    /// Other geometry for the environment (a proxy) [default: the level's nodes by role]
+    #[arg(long, value_name = "FILE")]
+    environment: Option<PathBuf>,
+    /// Directions per node to try, ascending
+    #[arg(long, value_name = "N,N,…", value_delimiter = ',', num_args = 1, default_value = "64,256,1024,4096,16384")]
+    budgets: Vec<u64>,
+    /// Bakes of each method with each budget, by different seeds
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(2..=1000))]
+    repeats: u32,
+    /// Methods to try, by name [default: all that tell something here]
+    #[arg(long, value_name = "NAME,NAME,…", value_delimiter = ',', num_args = 1)]
+    methods: Vec<String>,
+    /// What is true, as for `compare`: a volume, or a JSON of places with their light, which are then the nodes unless
+    /// flags say where to bake [default: made by path tracing]
+    #[arg(long, value_name = "FILE")]
+    reference: Option<PathBuf>,
+    /// Take this set of the reference JSON alone; repeatable [default: all sets of SH]
+    #[arg(long = "set", value_name = "NAME", requires = "reference")]
+    sets: Vec<String>,
+    /// Directions per node of a reference made by path tracing [default: 16 times the largest budget]
+    #[arg(long, value_name = "N", conflicts_with = "reference")]
+    reference_samples: Option<u64>,
+    /// The error at which methods are compared (0.01 is 1 %)
+    #[arg(long, value_name = "F", default_value_t = 0.01)]
+    at: f64,
+    #[command(flatten)]
+    grid: GridFlags,
+    #[command(flatten)]
+    quality: QualityFlags,
+    /// Never capture probes from the level: study with what is given
+    #[arg(long)]
+    no_capture: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    /// No progress bar
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// What OUT.json holds and `--json` prints.
+#[derive(Serialize)]
+pub struct Report {
+    pub program: &'static str,
+    pub level: String,
+    /// Where the nodes are, for a person.
+    pub places: String,
+    /// For a person.
+    pub light: String,
+    pub sh: String,
+    pub budgets: Vec<u64>,
+    pub repeats: usize,
+    /// Of the first and of the last repeat; every budget has its own.
+    pub seeds: [u64; 2],
+    pub reference: ReferenceReport,
+    pub threads: usize,
+    pub processor: String,
+    pub left_out: Vec<LeftOut>,
+    pub study: Study,
+    pub wall_seconds: f64,
+    pub cpu_seconds: f64,
+    pub findings: Vec<gdibl_baker::Finding>,
+}
+
+#[derive(Serialize)]
+pub struct ReferenceReport {
+    /// For a person.
+    pub about: String,
+    /// Directions per node, of one that was made.
+    pub samples: Option<u64>,
+    pub seed: Option<u64>,
+    /// What it took to make it.
+    pub wall_seconds: Option<f64>,
+    pub cpu_seconds: Option<f64>,
+}
+
+pub fn run(arguments: Arguments) -> Result<(), Fault> {
+    let started = Instant::now();
+    let cancel = cancel_on_interrupt();
+    let asked = check_arguments(&arguments)?;
+    let Arguments { budgets, json, quiet, at, .. } = &arguments;
+    let stem = arguments.output.as_deref().map(stem_of);
+    let files = FileFlags {
+        input: arguments.input.clone(),
+        // Captured probes go where those of a bake would.
+        output: stem.as_deref().map(|stem| with_ending(stem, "gdibl")),
+        probes: arguments.probes.clone(),
+        distant: arguments.distant.clone(),
+        environment: arguments.environment.clone(),
+    };
+    let config = Config::new(files, arguments.grid.clone(), arguments.quality.clone(), CaptureFlags::default())?;
+    set_threads(config.quality.threads)?;
+    let stem = stem.unwrap_or_else(|| config.output.with_extension("study"));
+    let settings = BakeSettings { target_error: None, ..bake_settings(&config)? };
+
+    // Everything is read and refused before the first ray.
+    let mut inputs = Inputs::read(&config, TextureNeeds::All)?;
+    let given = arguments.reference.as_deref().map(|path| read_reference(path, &arguments.sets)).transpose()?;
+    let (nodes, places) = choose_nodes(&arguments, &config, &inputs, given.as_ref())?;
+    check_memory(&nodes, &settings, config.quality.max_memory)?;
+    inputs.warn();
+    inputs.check_light(&config, Method::Gdibl)?;
+    super::check_output(&with_ending(&stem, "html"))?;
+    if !arguments.no_capture && inputs.lacks_probes() {
+        capture_missing(&config, &mut inputs, &cancel, *quiet)?;
+    }
+    if given.is_none() && !inputs.has_light() {
+        return Err(Fault::Usage(format!(
+            "{}: nothing in it gives light, so path tracing knows no truth: give --reference, or --distant",
+            config.level.display()
+        )));
+    }
+
+    let runner = Runner { config: &config, inputs: &inputs, nodes: &nodes, settings: &settings, cancel: &cancel };
+    let work = plan_work(&arguments, &runner, asked, given.as_ref())?;
+    say(&format!("{places}; {}", work.text(&arguments)));
+    let progress = Progress::new("directions", work.directions, *quiet);
+    let (truths, reference) = match given {
+        Some(given) => (given.truths, given.report),
+        None => make_reference(&runner, work.reference_samples, &progress)?,
+    };
+    let repeats = arguments.repeats as usize;
+    let ladder = Ladder { budgets, repeats, seeds: &work.seeds, progress: &progress };
+    let measured = runner.measure_all(&work.methods, &work.circumstances, &ladder, &truths)?;
+    let capture = runner.capture_cost()?;
+    progress.finish();
+    let study = Study::of(measured, capture, &StudySettings { target: *at, nodes: nodes.len() });
+
+    let report = Report {
+        program: concat!("gdibl ", env!("CARGO_PKG_VERSION")),
+        level: super::file_name(&config.level),
+        places,
+        light: light_text(&inputs),
+        sh: format!("L{}", settings.bands),
+        budgets: budgets.clone(),
+        repeats,
+        seeds: [work.seeds[0], work.seeds[work.seeds.len() - 1]],
+        reference,
+        threads: rayon::current_num_threads(),
+        processor: processor(),
+        left_out: work.left_out,
+        study,
+        wall_seconds: started.elapsed().as_secs_f64(),
+        cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
+        findings: inputs.findings.clone(),
+    };
+    if cancel.load(Ordering::Relaxed) {
+        return Err(Fault::Interrupted);
+    }
+    let written = write_files(&report, &stem)?;
+    if *json {
+        return super::print_json(&report);
+    }
+    let written: Vec<String> = written.iter().map(|path| format!("  written    {}", path.display())).collect();
+    super::print_line(&format!("{}\n\n{}", words::report(&report), written.join("\n")))
+}
+
+/// What makes no sense is refused before anything is read; returns the methods.
+fn check_arguments(arguments: &Arguments) -> Result<Vec<methods::Method>, Fault> {
+    let Arguments { budgets, reference_samples, quality, at, .. } = arguments;
+    for (given, flag, instead) in [
+        (quality.samples.is_some(), "--samples", "--budgets says how many directions"),
+        (
+            quality.target_error.is_some(),
+            "--target-error",
+            "--budgets says how many directions, --at the error to look at",
+        ),
+        (quality.method.is_some(), "--method", "--methods says which"),
+    ] {
+        if given {
+            return Err(Fault::Usage(format!("{flag}: does not belong to study: {instead}")));
+        }
+    }
+    let allowed = 1..=BakeSettings::MAX_SAMPLES;
+    if !budgets.iter().chain(reference_samples).all(|budget| allowed.contains(budget)) {
+        return Err(Fault::Usage(format!(
+            "--budgets {budgets:?}, --reference-samples: expected 1 to {} directions per node",
+            BakeSettings::MAX_SAMPLES
+        )));
+    }
+    if !budgets.is_sorted_by(|a, b| a < b) {
+        return Err(Fault::Usage(format!("--budgets {budgets:?}: expected them in ascending order, each once")));
+    }
+    if !(*at > 0.0 && at.is_finite()) {
+        return Err(Fault::Usage(format!("--at {at}: expected a positive share, 0.01 for 1 %")));
+    }
+    match &arguments.methods[..] {
+        [] => Ok(methods::Method::all()),
+        names => methods::Method::parse_all(names),
+    }
+}
+
+/// What is to be run.
+struct Work {
+    methods: Vec<methods::Method>,
+    left_out: Vec<LeftOut>,
+    circumstances: Circumstances,
+    /// One for every repeat of every budget.
+    seeds: Vec<u64>,
+    /// 0: the reference is given.
+    reference_samples: u64,
+    /// That leave nodes, in all.
+    directions: u64,
+}
+
+fn plan_work(
+    arguments: &Arguments,
+    runner: &Runner,
+    asked: Vec<methods::Method>,
+    given: Option<&Given>,
+) -> Result<Work, Fault> {
+    let circumstances = runner.circumstances()?;
+    let (methods, left_out) = methods::choose(asked, &circumstances);
+    if methods.is_empty() {
+        let reasons: Vec<String> = left_out.iter().map(|l| format!("{}: {}", l.method, l.why)).collect();
+        return Err(Fault::Usage(format!("--methods: none is left: {}", reasons.join("; "))));
+    }
+    let Arguments { budgets, reference_samples, .. } = arguments;
+    let reference_samples = match given {
+        Some(_) => 0,
+        None => reference_samples.unwrap_or(16 * budgets[budgets.len() - 1]).min(BakeSettings::MAX_SAMPLES),
+    };
+    // Nobody shares random numbers with the reference.
+    let own = runner.settings.seed;
+    let taken = given.map_or(Some(own), |given| given.seed);
+    let seeds = (1..).map(|i| own.wrapping_add(i)).filter(|seed| Some(*seed) != taken);
+    let repeats = arguments.repeats as usize;
+    let per_node = (methods.len() * repeats) as u64 * budgets.iter().sum::<u64>() + reference_samples;
+    Ok(Work {
+        methods,
+        left_out,
+        circumstances,
+        seeds: seeds.take(repeats * budgets.len()).collect(),
+        reference_samples,
+        directions: per_node.saturating_mul(runner.nodes.len() as u64),
+    })
+}
+
+impl Work {
+    fn text(&self, arguments: &Arguments) -> String {
+        let Arguments { budgets, repeats, .. } = arguments;
+        let (methods, millions) = (self.methods.len(), self.directions as f64 / 1e6);
+        format!("{methods} methods, {} budgets, {repeats} repeats: {millions:.0} M directions", budgets.len())
+    }
+}
+
+/// Ground truth by path tracing.
+fn make_reference(runner: &Runner, samples: u64, progress: &Progress) -> Result<(Vec<Truth>, ReferenceReport), Fault> {
+    let seed = runner.settings.seed;
+    let (truth, cost) = runner.reference(samples, seed, progress)?;
+    let about = format!(
+        "path tracing with {samples} directions per node, in {:.1} s ({:.1} s of CPU); its seed is none of the repeats'",
+        cost.wall_seconds, cost.cpu_seconds
+    );
+    let report = ReferenceReport {
+        about,
+        samples: Some(samples),
+        seed: Some(seed),
+        wall_seconds: Some(cost.wall_seconds),
+        cpu_seconds: Some(cost.cpu_seconds),
+    };
+    Ok((vec![truth], report))
+}
+
+/// What was given as true.
+struct Given {
+    truths: Vec<Truth>,
+    /// It is a list of places, not a volume of its own.
+    listed: bool,
+    seed: Option<u64>,
+    name: String,
+    report: ReferenceReport,
+}
+
+fn read_reference(path: &Path, sets: &[String]) -> Result<Given, Fault> {
+    let input = read(path)?;
+    let (listed, seed) = (matches!(input.light, Kind::Reference(_)), input.seed);
+    let truths = input.truths(sets, path)?;
+    let name = super::file_name(path);
+    let names: Vec<&str> = truths.iter().map(|truth| truth.name.as_str()).collect();
+    let about = if listed { format!("{name}: {}", names.join(", ")) } else { name.clone() };
+    let report = ReferenceReport { about, samples: None, seed, wall_seconds: None, cpu_seconds: None };
+    Ok(Given { truths, listed, seed, name, report })
+}
+
+/// The nodes to bake, and where they are in words.
+fn choose_nodes(
+    arguments: &Arguments,
+    config: &Config,
+    inputs: &Inputs,
+    given: Option<&Given>,
+) -> Result<(Nodes, String), Fault> {
+    let GridFlags { nodes, bounds, spacing, counts } = &arguments.grid;
+    let said = nodes.is_some() || bounds.is_some() || spacing.is_some() || counts.is_some();
+    if let Some(given) = given.filter(|given| given.listed && !said) {
+        let positions = given.truths.iter().flat_map(|truth| &truth.positions).map(|p| DVec3::from(*p));
+        let nodes = Nodes::Points(positions.collect());
+        let text = format!("{} places of {}", nodes.len(), given.name);
+        return Ok((nodes, text));
+    }
+    let nodes = nodes_of(config, &inputs.scene)?;
+    let text = match &nodes {
+        Nodes::Grid(grid) => {
+            let [x, y, z] = grid.counts;
+            format!("grid of {x} × {y} × {z} nodes")
+        }
+        Nodes::Points(positions) => format!("{} points", positions.len()),
+        Nodes::Vertices { positions, .. } => format!("{} vertices", positions.len()),
+    };
+    Ok((nodes, text))
+}
+
+fn light_text(inputs: &Inputs) -> String {
+    let probes = match inputs.probes.len() {
+        0 => "no probe".into(),
+        1 => "1 probe".into(),
+        n => format!("{n} probes"),
+    };
+    let captured = if inputs.captured { " captured from the level" } else { "" };
+    let distant = match &inputs.distant {
+        Some(distant) if !inputs.captured || !distant.name.is_empty() => format!(", distant panorama {}", distant.name),
+        _ => String::new(),
+    };
+    format!("{probes}{captured}{distant}")
+}
+
+/// Its name as the system tells it, and how many of it.
+fn processor() -> String {
+    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let name = text.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    name.map_or(std::env::consts::ARCH.into(), |(_, name)| name.trim().to_string())
+}
+
+/// OUT of OUT, OUT.html, OUT.csv …
+fn stem_of(output: &Path) -> PathBuf {
+    let ours = output.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e == *ending));
+    if ours { output.with_extension("") } else { output.to_path_buf() }
+}
+
+const ENDINGS: [&str; 4] = ["html", "csv", "json", "svg"];
+
+/// Behind a dot in the name, too.
+fn with_ending(stem: &Path, ending: &str) -> PathBuf {
+    let mut name = stem.as_os_str().to_os_string();
+    name.push(".");
+    name.push(ending);
+    name.into()
+}
+
+fn write_files(report: &Report, stem: &Path) -> Result<Vec<PathBuf>, Fault> {
+    let figure = plot::figure(&report.study);
+    let json = serde_json::to_string_pretty(report).expect("reports are plain data") + "\n";
+    let texts = [page::html(report, &figure), page::csv(&report.study), json, figure];
+    let mut written = Vec::new();
+    for (ending, text) in ENDINGS.iter().zip(texts) {
+        let path = with_ending(stem, ending);
+        write_whole(&path, text.as_bytes()).map_err(Fault::from_writing)?;
+        written.push(path);
+    }
+    Ok(written)
+}

@@ -1,0 +1,8 @@
+//! What `gdibl study` is made of: the methods, running and timing them, its words, the plot, and the page
+//! around it.
+
+pub mod methods;
+pub mod page;
+pub mod plot;
+pub mod runner;
+pub mod words;

@@ -92,9 +92,10 @@ pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
             samples: baked.samples,
             relative_error: None,
             coverage: 0.0,
+            deringing: None,
             findings: Vec::new(),
         },
     };
-    let settings = PackSettings { precision: Precision::F32, zstd: false };
-    Volume::parse(&pack(nodes, baked, &records, settings)).expect("what was packed parses")
+    let settings = PackSettings { precision: Precision::F32, ..PackSettings::default() };
+    Volume::parse(&pack(nodes, baked, records, settings).bytes).expect("what was packed parses")
 }

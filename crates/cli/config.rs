@@ -82,6 +82,9 @@ pub struct QualityFlags {
     /// Compress the file's sections with zstd; readers need a decoder then
     #[arg(long, num_args = 0, default_missing_value = "true")]
     pub zstd: Option<bool>,
+    /// Scale down bands 1 and up of nodes whose irradiance turns negative for some normal, by as little as ends that
+    #[arg(long, num_args = 0, default_missing_value = "true")]
+    pub dering: Option<bool>,
     /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
     /// [default: footprint:4]
     #[arg(long, value_name = "RULE", value_parser = parse_blend)]
@@ -440,6 +443,7 @@ impl QualityFlags {
             sh: self.sh.or(file.sh),
             precision: self.precision.or(file.precision),
             zstd: self.zstd.or(file.zstd),
+            dering: self.dering.or(file.dering),
             blend: self.blend.or(file.blend),
             repair_pixels: self.repair_pixels.or(file.repair_pixels),
             max_memory: self.max_memory.or(file.max_memory),

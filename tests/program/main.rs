@@ -7,6 +7,7 @@ mod bake;
 mod capture;
 mod compare;
 mod config;
+mod dering;
 mod furnace;
 mod light;
 mod reader;

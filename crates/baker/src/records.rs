@@ -63,8 +63,19 @@ pub struct StatisticsRecord {
     pub relative_error: Option<ErrorSummary>,
     /// Mean share of the sphere that was covered, over all nodes.
     pub coverage: f64,
+    /// What de-ringing did; `None` where it was not asked for, or no node rings.
+    pub deringing: Option<DeringingRecord>,
     /// What the inputs had that deserves a look.
     pub findings: Vec<Finding>,
+}
+
+/// What de-ringing did, see [`crate::deringing`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct DeringingRecord {
+    /// Nodes that rang.
+    pub nodes: u64,
+    /// What it changed in them: root mean square of the change of E over that of E.
+    pub relative_change: ErrorSummary,
 }
 
 /// Order statistics of a set of errors.

@@ -8,9 +8,9 @@ use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
-use gdibl_baker::records::{ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
+use gdibl_baker::records::{DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
 use gdibl_baker::sampling::Sampler;
-use gdibl_baker::volume::{PackSettings, Precision, pack, write_whole};
+use gdibl_baker::volume::{PackSettings, Packed, Precision, pack, write_whole};
 use gdibl_baker::{Control, Finding};
 use serde::Serialize;
 
@@ -57,6 +57,7 @@ struct Report<'a> {
     sh: String,
     relative_error: Option<ErrorSummary>,
     coverage: f64,
+    deringing: Option<DeringingRecord>,
     bytes: u64,
     plan: &'a [PlanRow],
     seed: u64,
@@ -99,7 +100,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
             let plan = [vec![capture], plan::plan(&inputs.scene, &function)].concat();
             if arguments.plan {
-                return print_plan(&plan, arguments.json);
+                return print_plan(plan, &config, arguments.json);
             }
             (plan, job.bake(&function)?)
         }
@@ -107,7 +108,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let path = Path::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config.quality)?);
             let plan = [vec![capture], plan::plan_path(&inputs.scene, &path)].concat();
             if arguments.plan {
-                return print_plan(&plan, arguments.json);
+                return print_plan(plan, &config, arguments.json);
             }
             (plan, job.bake(&path)?)
         }
@@ -122,8 +123,9 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let packing = PackSettings {
         precision: config.quality.precision.unwrap_or_default(),
         zstd: config.quality.zstd.unwrap_or(false),
+        dering: config.quality.dering.unwrap_or(false),
     };
-    let bytes = pack(&nodes, &baked, &records, packing);
+    let Packed { bytes, records } = pack(&nodes, &baked, records, packing);
     if cancel.load(Ordering::Relaxed) {
         return Err(Fault::Interrupted);
     }
@@ -139,6 +141,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         sh: format!("L{}", baked.bands),
         relative_error: records.statistics.relative_error,
         coverage: records.statistics.coverage,
+        deringing: records.statistics.deringing,
         bytes: bytes.len() as u64,
         plan: &records.plan,
         seed: settings.seed,
@@ -301,15 +304,20 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
         samples: baked.samples,
         relative_error: ErrorSummary::of(valid().map(|(_, error)| f64::from(*error))),
         coverage: baked.coverage.iter().map(|c| f64::from(*c)).sum::<f64>() / baked.coverage.len() as f64,
+        deringing: None,
         findings: inputs.findings.clone(),
     }
 }
 
-fn print_plan(plan: &[PlanRow], json: bool) -> Result<(), Fault> {
+fn print_plan(mut plan: Vec<PlanRow>, config: &Config, json: bool) -> Result<(), Fault> {
+    // What was baked tells whether any does.
+    if config.quality.dering == Some(true) {
+        plan.push(PlanRow::new("deringing", true, "nodes that ring are windowed"));
+    }
     if json {
         return super::print_json(&plan);
     }
-    for row in plan {
+    for row in &plan {
         super::print_line(&format!("{:<16} {:<9} {}", row.stage, if row.kept { "kept" } else { "left out" }, row.why))?;
     }
     Ok(())
@@ -350,6 +358,9 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
             None => "  error     not measured: that takes at least two samples per node".into(),
         },
     ];
+    if let Some(deringing) = &report.deringing {
+        lines.push(format!("  de-ringed {}", super::deringing_text(deringing)));
+    }
     let left_out = report.plan.iter().filter(|row| !row.kept);
     lines.extend(left_out.map(|row| format!("  left out  {}: {}", row.stage, row.why)));
     super::print_line(&lines.join("\n"))

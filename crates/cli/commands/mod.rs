@@ -7,7 +7,7 @@ pub mod inspect;
 pub mod render;
 pub mod sample;
 
-use gdibl_baker::records::{Record, decode};
+use gdibl_baker::records::{DeringingRecord, Record, decode};
 use gdibl_runtime::format::{Directory, Limits};
 use serde::Serialize;
 use std::io::Write;
@@ -63,6 +63,12 @@ fn record<T: Record>(directory: &Directory, path: &Path, id: [u8; 4]) -> Result<
     let bytes = directory.section_bytes(id, &Limits::default()).map_err(|error| volume_fault(path, &error))?;
     let name = String::from_utf8_lossy(&id);
     bytes.map(|bytes| decode(&bytes, path, &name)).transpose().map_err(Fault::from)
+}
+
+/// What de-ringing did, in words.
+fn deringing_text(deringing: &DeringingRecord) -> String {
+    let [median, max] = [deringing.relative_change.median, deringing.relative_change.max].map(|e| e * 100.0);
+    format!("{} nodes; their irradiance changed by {median:.2} % median, {max:.2} % worst node", deringing.nodes)
 }
 
 /// Bytes that can still be taken without swapping; `None` where the system does not tell.

@@ -371,10 +371,12 @@ mod tests {
             samples: 0,
             relative_error: None,
             coverage: 1.0,
+            deringing: None,
             findings: Vec::new(),
         };
         let records = Records { settings, plan: Vec::new(), probes: Vec::new(), statistics };
-        let bytes = pack(nodes, baked, &records, PackSettings { precision: Precision::F32, zstd: false });
+        let bytes =
+            pack(nodes, baked, records, PackSettings { precision: Precision::F32, ..PackSettings::default() }).bytes;
         Volume::parse(&bytes).unwrap()
     }
 

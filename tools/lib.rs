@@ -59,6 +59,7 @@ pub fn read_lighting(folder: &Path) -> (Vec<Probe>, Distant) {
         rotation: Quat::IDENTITY,
         exposure_stops: 0.0,
         panorama: read_panorama(&folder.join("distant.exr")),
+        without_sun: None,
     };
     (probes.collect(), distant)
 }
@@ -93,6 +94,7 @@ pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
             relative_error: None,
             coverage: 0.0,
             deringing: None,
+            sun: None,
             findings: Vec::new(),
         },
     };

@@ -12,3 +12,4 @@ mod furnace;
 mod light;
 mod reader;
 mod render;
+mod sun;

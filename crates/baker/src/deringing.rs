@@ -304,7 +304,7 @@ mod tests {
     #[test]
     fn nodes_without_light_or_without_ringing_have_no_window() {
         let search = Search::default();
-        let none = |node: &RadianceSh| window(node, node, F32, &search) == None;
+        let none = |node: &RadianceSh| window(node, node, F32, &search).is_none();
         assert!(none(&RadianceSh::zero(4)));
         assert!(none(&lights(4, &[(Vec3::X, [1.0; 3])], 2.0)));
         assert!(none(&lights(2, &[(Vec3::X, [0.0; 3])], 1.0)));

@@ -8,7 +8,9 @@ use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
-use gdibl_baker::records::{DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
+use gdibl_baker::records::{
+    DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord, SunRecord,
+};
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::{PackSettings, Packed, Precision, pack, write_whole};
 use gdibl_baker::{Control, Finding};
@@ -16,8 +18,8 @@ use serde::Serialize;
 
 use crate::captures::capture_missing;
 use crate::config::{
-    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, check_target, clamp, gdibl_settings,
-    path_settings, set_threads,
+    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, Sun, check_target, clamp,
+    gdibl_settings, path_settings, set_threads,
 };
 use crate::fault::Fault;
 use crate::inputs::{Inputs, nodes_of};
@@ -58,6 +60,7 @@ struct Report<'a> {
     relative_error: Option<ErrorSummary>,
     coverage: f64,
     deringing: Option<DeringingRecord>,
+    sun: Option<SunRecord>,
     bytes: u64,
     plan: &'a [PlanRow],
     seed: u64,
@@ -75,6 +78,10 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 
     // Everything is read and refused before the first ray.
     let mut inputs = Inputs::read(&config, config.textures(!arguments.no_capture))?;
+    let sun = match config.quality.sun.unwrap_or_default() {
+        Sun::Include => None,
+        Sun::Extract => inputs.extract_sun()?.map(SunRecord::from),
+    };
     let nodes = nodes_of(&config, &inputs.scene)?;
     check_memory(&nodes, &settings, config.quality.max_memory)?;
     let captures = method == Method::Gdibl && !arguments.no_capture && inputs.lacks_probes();
@@ -117,7 +124,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let records = Records {
         settings: settings_record(&config, &settings, method),
         probes: probe_records(&inputs),
-        statistics: statistics(&baked, &inputs),
+        statistics: StatisticsRecord { sun, ..statistics(&baked, &inputs) },
         plan,
     };
     let packing = PackSettings {
@@ -142,6 +149,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         relative_error: records.statistics.relative_error,
         coverage: records.statistics.coverage,
         deringing: records.statistics.deringing,
+        sun: records.statistics.sun,
         bytes: bytes.len() as u64,
         plan: &records.plan,
         seed: settings.seed,
@@ -305,6 +313,7 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
         relative_error: ErrorSummary::of(valid().map(|(_, error)| f64::from(*error))),
         coverage: baked.coverage.iter().map(|c| f64::from(*c)).sum::<f64>() / baked.coverage.len() as f64,
         deringing: None,
+        sun: None,
         findings: inputs.findings.clone(),
     }
 }
@@ -358,6 +367,9 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
             None => "  error     not measured: that takes at least two samples per node".into(),
         },
     ];
+    if let Some(sun) = &report.sun {
+        lines.push(format!("  sun       {}", super::sun_text(sun)));
+    }
     if let Some(deringing) = &report.deringing {
         lines.push(format!("  de-ringed {}", super::deringing_text(deringing)));
     }

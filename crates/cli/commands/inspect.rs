@@ -165,6 +165,9 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
     }
     if let Some(statistics) = &report.statistics {
         let (rays, samples) = (statistics.rays as f64 / 1e6, statistics.samples as f64 / 1e6);
+        if let Some(sun) = &statistics.sun {
+            row("sun", super::sun_text(sun));
+        }
         if let Some(deringing) = &statistics.deringing {
             row("de-ringed", super::deringing_text(deringing));
         }

@@ -372,6 +372,7 @@ mod tests {
             relative_error: None,
             coverage: 1.0,
             deringing: None,
+            sun: None,
             findings: Vec::new(),
         };
         let records = Records { settings, plan: Vec::new(), probes: Vec::new(), statistics };

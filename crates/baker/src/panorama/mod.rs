@@ -23,6 +23,7 @@ mod grid;
 mod image;
 mod importance;
 mod mapping;
+mod sun;
 #[cfg(test)]
 mod tolerance;
 
@@ -35,6 +36,7 @@ pub(crate) use grid::PixelGrid;
 pub use image::Image;
 pub use importance::Importance;
 pub use mapping::{Mapping, guess_from_aspect};
+pub use sun::{Sun, take_out_sun};
 
 /// A lat-long panorama in gdibl's orientation; see the module for the mapping.
 #[derive(Debug, Clone)]

@@ -21,6 +21,8 @@ const UNIFORM: f32 = 0.25 * std::f32::consts::FRAC_1_PI;
 #[derive(Debug)]
 pub struct Guide {
     sky: Option<SkyImportance>,
+    /// What nodes see of the sky, where that is not the whole of it.
+    sky_at_nodes: Option<SkyImportance>,
     emitters: Option<Emitters>,
     /// Up to here the first coordinate means uniform, up to there the sky, and then the emitters.
     ends: [f32; 2],
@@ -37,7 +39,7 @@ impl Guide {
             (None, Some(_)) => [UNIFORM_SHARE, UNIFORM_SHARE],
             (Some(_), Some(_)) => [UNIFORM_SHARE, 0.5 * (1.0 + UNIFORM_SHARE)],
         };
-        Guide { sky, emitters, ends }
+        Guide { sky, sky_at_nodes: distant.and_then(SkyImportance::at_nodes), emitters, ends }
     }
 
     /// Directions go toward the distant panorama.
@@ -58,14 +60,18 @@ impl Guide {
         self.emitters.as_ref()
     }
 
-    /// A direction from `origin` (trace space) for a point of the unit square, and w = 1/(4π p) of it;
+    /// A direction from a node at `origin` (trace space) for a point of the unit square, and w = 1/(4π p) of it;
     /// w = 0 where there is none.
-    pub fn propose(&self, origin: Vec3, [first, second]: [f32; 2]) -> (Vec3, f32) {
+    pub fn propose(&self, origin: Vec3, point: [f32; 2]) -> (Vec3, f32) {
+        self.propose_under(self.sky_at_nodes(), origin, point)
+    }
+
+    fn propose_under(&self, sky: Option<&SkyImportance>, origin: Vec3, [first, second]: [f32; 2]) -> (Vec3, f32) {
         let [uniform_end, sky_end] = self.ends;
         let (direction, density) = if first < uniform_end {
             let direction = uniform_sphere([first / uniform_end, second]);
-            (direction, self.density(origin, direction))
-        } else if let Some(sky) = self.sky.as_ref().filter(|_| first < sky_end) {
+            (direction, self.mixed(density_of(sky, direction), || self.emitter_density(origin, direction)))
+        } else if let Some(sky) = sky.filter(|_| first < sky_end) {
             let (direction, density) = sky.sample([(first - uniform_end) / (sky_end - uniform_end), second]);
             (direction, self.mixed(density, || self.emitter_density(origin, direction)))
         } else {
@@ -75,24 +81,25 @@ impl Guide {
                 // None can light this place; their share of the samples is lost.
                 return (Vec3::Y, 0.0);
             };
-            (direction, self.mixed(self.sky_density(direction), || density))
+            (direction, self.mixed(density_of(sky, direction), || density))
         };
         (direction, UNIFORM / density)
     }
 
     /// Density per steradian with which [`Guide::propose`] returns `direction`.
     pub fn density(&self, origin: Vec3, direction: Vec3) -> f32 {
-        self.mixed(self.sky_density(direction), || self.emitter_density(origin, direction))
+        self.mixed(density_of(self.sky_at_nodes(), direction), || self.emitter_density(origin, direction))
     }
 
-    /// A direction toward what is bright, none of them uniform, and its density per steradian (infinite where it is none
+    /// A direction from a surface toward what is bright, none of them uniform, and its density per steradian (infinite where it is none
     /// after all: weigh it by nothing). `None` where nothing is bright.
     pub fn propose_bright(&self, origin: Vec3, [first, second]: [f32; 2]) -> Option<(Vec3, f32)> {
         let [uniform_end, _] = self.ends;
         if uniform_end == 1.0 {
             return None;
         }
-        let (direction, weight) = self.propose(origin, [uniform_end + first * (1.0 - uniform_end), second]);
+        let (direction, weight) =
+            self.propose_under(self.sky(), origin, [uniform_end + first * (1.0 - uniform_end), second]);
         let density = if weight > 0.0 { self.bright_density(origin, direction) } else { f32::INFINITY };
         Some((direction, density))
     }
@@ -102,7 +109,7 @@ impl Guide {
         let [uniform_end, sky_end] = self.ends;
         let mut density = 0.0;
         if sky_end > uniform_end {
-            density += (sky_end - uniform_end) / (1.0 - uniform_end) * self.sky_density(direction);
+            density += (sky_end - uniform_end) / (1.0 - uniform_end) * density_of(self.sky(), direction);
         }
         if sky_end < 1.0 {
             density += (1.0 - sky_end) / (1.0 - uniform_end) * self.emitter_density(origin, direction);
@@ -119,13 +126,17 @@ impl Guide {
         density
     }
 
-    fn sky_density(&self, direction: Vec3) -> f32 {
-        self.sky.as_ref().map_or(0.0, |sky| sky.density(direction))
+    fn sky_at_nodes(&self) -> Option<&SkyImportance> {
+        self.sky_at_nodes.as_ref().or(self.sky.as_ref())
     }
 
     fn emitter_density(&self, origin: Vec3, direction: Vec3) -> f32 {
         self.emitters.as_ref().map_or(0.0, |emitters| emitters.density(origin, direction))
     }
+}
+
+fn density_of(sky: Option<&SkyImportance>, direction: Vec3) -> f32 {
+    sky.map_or(0.0, |sky| sky.density(direction))
 }
 
 #[cfg(test)]
@@ -164,8 +175,7 @@ mod tests {
         let mut pixels = vec![[0.1; 3]; 32 * 16];
         pixels[5 * 32 + 9] = [500.0; 3];
         let panorama = Panorama::new(32, 16, pixels, None);
-        let distant =
-            Distant { name: String::new(), rotation: Quat::from_rotation_x(0.5), exposure_stops: 0.0, panorama };
+        let distant = Distant { rotation: Quat::from_rotation_x(0.5), panorama, ..Distant::black() };
         vec![
             Guide::new(&scene, None, &[]),
             Guide::new(&scene, Some(&distant), &[]),

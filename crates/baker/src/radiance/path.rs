@@ -292,6 +292,9 @@ impl RadianceFunction for Path<'_> {
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         let first = self.meet(origin, direction, context);
         context.backs += u64::from(first.is_some_and(|hit| hit.back));
+        if let (None, Some(sky)) = (first, &self.sky) {
+            return Radiance::covered(sky.radiance_at_node(direction));
+        }
         Radiance::covered(self.light(direction, first, context))
     }
 

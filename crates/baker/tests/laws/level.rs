@@ -80,7 +80,7 @@ pub fn probe(position: DVec3, width: usize, light: impl Fn(Vec3) -> [f32; 3]) ->
 }
 
 pub fn distant(panorama: Panorama) -> Distant {
-    Distant { name: "sky".into(), rotation: Quat::IDENTITY, exposure_stops: 0.0, panorama }
+    Distant { name: "sky".into(), panorama, ..Distant::black() }
 }
 
 /// Three probes of unlike, smooth light in [`room_with_pillar`].
@@ -135,6 +135,7 @@ pub fn records() -> Records {
         relative_error: None,
         coverage: 0.0,
         deringing: None,
+        sun: None,
         findings: Vec::new(),
     };
     Records { settings, plan: Vec::new(), probes: Vec::new(), statistics }

@@ -1,6 +1,7 @@
 //! `bake --sun extract`: the sun's direct light is reported instead of baked.
 
-use crate::common::{Folder, Level, csv_of, solid_of};
+use crate::common::{Folder, Level, csv_of, repository, solid_of};
+use glam::DVec3;
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 
@@ -83,4 +84,28 @@ fn sky_without_a_sun_is_a_finding_and_no_sky_a_wrong_use() {
     let run = folder.run(&[&["bake"], &STONE[..], &["--sun", "remove"]].concat());
     assert_eq!(run.code, 2, "{}", run.err);
     assert!(run.err.contains("include or extract"), "{}", run.err);
+}
+
+#[test]
+fn wall_in_the_sun_of_the_shipped_box_still_lights_it() {
+    // The sun shines into the box's open end, on its floor and walls. The point is in the shade under the roof.
+    let folder = Folder::new();
+    folder.write("box.glb", std::fs::read(repository("assets/uffizi-box/empty-box.glb")).unwrap());
+    let toward = DVec3::new(0.3, 0.6, 1.0).normalize();
+    let sky = |sun: f32| move |d: DVec3| if d.dot(toward) > 0.9999 { [sun; 3] } else { [0.2; 3] };
+    folder.panorama("sunny.exr", 512, None, sky(2e4));
+    folder.panorama("sunless.exr", 512, None, sky(0.2));
+    folder.write("points.csv", csv_of(&[[0.0, 1.5, -1.0]]));
+    let mean_light = |distant: &str, more: &[&str]| {
+        let common = ["box.glb", "--distant", distant, "--method", "path", "--nodes", "points:points.csv"];
+        let report = folder.bake(&[&common[..], &["--samples", "16384", "-o", "out.gdibl"], more].concat());
+        let error = report["relative_error"]["max"].as_f64().unwrap();
+        (folder.coefficients("out.gdibl", &[[0.0, 1.5, -1.0]])[0][0] / (4.0 * PI).sqrt(), error)
+    };
+    let (whole, error) = mean_light("sunny.exr", &[]);
+    let (extracted, _) = mean_light("sunny.exr", &["--sun", "extract"]);
+    let (removed, _) = mean_light("sunless.exr", &[]);
+    println!("{whole} {extracted} {removed}, error {error}");
+    assert!(extracted > 2.0 * removed, "bounced light is most of it: {extracted}, {removed}");
+    assert!((extracted / whole - 1.0).abs() < 6.0 * error, "nothing direct there: {extracted}, {whole}, {error}");
 }

@@ -169,13 +169,17 @@ mod tests {
         }
     }
 
-    fn guides() -> Vec<Guide> {
-        let scene = scene();
-        let surfaces = Surfaces::new(&scene, |_| true, &Frame::default()).unwrap();
+    fn distant() -> Distant {
         let mut pixels = vec![[0.1; 3]; 32 * 16];
         pixels[5 * 32 + 9] = [500.0; 3];
         let panorama = Panorama::new(32, 16, pixels, None);
-        let distant = Distant { rotation: Quat::from_rotation_x(0.5), panorama, ..Distant::black() };
+        Distant { rotation: Quat::from_rotation_x(0.5), panorama, ..Distant::black() }
+    }
+
+    fn guides() -> Vec<Guide> {
+        let scene = scene();
+        let surfaces = Surfaces::new(&scene, |_| true, &Frame::default()).unwrap();
+        let distant = distant();
         vec![
             Guide::new(&scene, None, &[]),
             Guide::new(&scene, Some(&distant), &[]),
@@ -186,7 +190,10 @@ mod tests {
 
     #[test]
     fn density_integrates_to_one_and_is_that_of_the_samples() {
-        for (number, guide) in guides().iter().enumerate() {
+        let mut distant = distant();
+        distant.extract_sun().expect("one pixel stands out");
+        let sunless = Guide::new(&Scene::default(), Some(&distant), &[]);
+        for (number, guide) in guides().iter().chain([&sunless]).enumerate() {
             // 1/p over the samples is the sphere; p over the sphere is one.
             let stream = Stream::new(Sampler::Sobol, 0, 0, 0);
             let count = 1 << 14;

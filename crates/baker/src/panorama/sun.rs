@@ -24,9 +24,10 @@ use super::Panorama;
 const RADIUS: f32 = 0.0436;
 /// In a coarse panorama, in pixels: 2 × 2 fit, 3 × 3 do not.
 const RADIUS_PIXELS: f32 = 1.25;
-/// Times the median brightness of the ring from one to two radii.
+/// Times the median brightness of the ring from one to two radii. Of a clear day's sun (kloppenheim_05, 1k) the cluster is
+/// then 0.6° in radius; 1° would add 1 % to its irradiance and 2.5° 2 %, which is the sky's own glow.
 const FAR_ABOVE: f32 = 10.0;
-/// Share of E on a surface that faces it.
+/// Share of E on a surface that faces it. That sun has 80 %, the brightest lamp of a square at night 10 %.
 const NOTABLE: f64 = 0.2;
 /// Bright places that are looked at.
 const CANDIDATES: usize = 8;

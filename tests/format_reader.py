@@ -45,7 +45,7 @@ class Volume:
         demand(self.kind <= 2, f"kind {self.kind}")
         demand(self.bands <= 4, f"bands {self.bands}")
         demand(self.encoding <= 1, f"encoding {self.encoding}")
-        demand(units == 0, f"units {units}")
+        demand(units <= 1, f"units {units}")  # 1 is de-ringed, and reads alike
         demand(section_count <= 64, f"{section_count} sections")
         demand(min(self.counts) >= 1, f"counts {self.counts}")
         demand(self.kind == 0 or self.counts[1:] == (1, 1), f"counts {self.counts}")

@@ -1,8 +1,8 @@
 //! scratch: noise over seeds
 use gdibl_baker::bake::{BakeSettings, Nodes};
+use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
 use gdibl_baker::radiance::path::{Path as PathF, PathSettings};
-use gdibl_baker::radiance::RadianceFunction;
 use gdibl_runtime::{RadianceSh, sh};
 use gdibl_tools::{bake_all, read_lighting, read_scene, read_truth};
 use glam::DVec3;
@@ -10,7 +10,8 @@ use std::path::Path;
 
 fn noise(f: &impl RadianceFunction, nodes: &Nodes, samples: u64, seeds: u64) {
     let started = std::time::Instant::now();
-    let all: Vec<_> = (0..seeds).map(|seed| bake_all(f, nodes, &BakeSettings { samples, seed, ..BakeSettings::default() })).collect();
+    let all: Vec<_> =
+        (0..seeds).map(|seed| bake_all(f, nodes, &BakeSettings { samples, seed, ..BakeSettings::default() })).collect();
     let time = started.elapsed().as_secs_f64();
     let n = all[0].sh.len();
     let count = sh::coefficient_count(2);
@@ -28,9 +29,19 @@ fn noise(f: &impl RadianceFunction, nodes: &Nodes, samples: u64, seeds: u64) {
     }
     let mut rel: Vec<f64> = per_node.iter().map(|(v, s)| (v / s).sqrt()).collect();
     rel.sort_by(f64::total_cmp);
-    let claimed: f64 = all.iter().flat_map(|b| b.relative_error.iter().map(|e| f64::from(*e).powi(2))).sum::<f64>() / (seeds as usize * nodes.len()) as f64;
-    println!("{samples:6}: noise {:.3} %  node rms {:.3} median {:.3} p95 {:.3} max {:.3}  claimed node rms {:.3}  rays/dir {:.2} time/node {:.3} ms (wall, 2 cores)", 100.0 * (var / sq).sqrt(),
-      100.0*(rel.iter().map(|r| r*r).sum::<f64>()/rel.len() as f64).sqrt(), 100.0 * rel[rel.len() / 2], 100.0 * rel[rel.len() * 95 / 100], 100.0 * rel[rel.len() - 1], 100.0*claimed.sqrt(), all[0].rays as f64 / all[0].samples as f64, time * 1e3 / (seeds as usize * nodes.len()) as f64);
+    let claimed: f64 = all.iter().flat_map(|b| b.relative_error.iter().map(|e| f64::from(*e).powi(2))).sum::<f64>()
+        / (seeds as usize * nodes.len()) as f64;
+    println!(
+        "{samples:6}: noise {:.3} %  node rms {:.3} median {:.3} p95 {:.3} max {:.3}  claimed node rms {:.3}  rays/dir {:.2} time/node {:.3} ms (wall, 2 cores)",
+        100.0 * (var / sq).sqrt(),
+        100.0 * (rel.iter().map(|r| r * r).sum::<f64>() / rel.len() as f64).sqrt(),
+        100.0 * rel[rel.len() / 2],
+        100.0 * rel[rel.len() * 95 / 100],
+        100.0 * rel[rel.len() - 1],
+        100.0 * claimed.sqrt(),
+        all[0].rays as f64 / all[0].samples as f64,
+        time * 1e3 / (seeds as usize * nodes.len()) as f64
+    );
 }
 
 fn main() {

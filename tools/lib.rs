@@ -56,6 +56,7 @@ pub fn read_lighting(folder: &Path) -> (Vec<Probe>, Distant) {
         rotation: Quat::IDENTITY,
         exposure_stops: 0.0,
         panorama: read_panorama(&folder.join("distant.exr")),
+        without_sun: None,
     };
     (probes.collect(), distant)
 }

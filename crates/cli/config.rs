@@ -64,6 +64,11 @@ pub struct QualityFlags {
     #[arg(long, value_name = "WHAT", value_parser = parse_punctual)]
     #[serde(deserialize_with = "text::punctual")]
     pub punctual: Option<Punctual>,
+    /// Sun of the distant panorama: extract leaves its direct light out for the engine to add as the directional light that
+    /// is reported; its bounced light stays; include leaves all in [default: include]
+    #[arg(long, value_name = "WHAT", value_parser = parse_sun)]
+    #[serde(deserialize_with = "text::sun")]
+    pub sun: Option<Sun>,
     /// Cut every sample's radiance off at this, and say how much light that took [default: off]
     #[arg(long, value_name = "L")]
     pub clamp: Option<f32>,
@@ -82,6 +87,9 @@ pub struct QualityFlags {
     /// Compress the file's sections with zstd; readers need a decoder then
     #[arg(long, num_args = 0, default_missing_value = "true")]
     pub zstd: Option<bool>,
+    /// Scale down bands 1 and up of nodes whose irradiance turns negative for some normal, by as little as ends that
+    #[arg(long, num_args = 0, default_missing_value = "true")]
+    pub dering: Option<bool>,
     /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
     /// [default: footprint:4]
     #[arg(long, value_name = "RULE", value_parser = parse_blend)]
@@ -174,6 +182,14 @@ pub enum Punctual {
     Include,
     #[default]
     Exclude,
+}
+
+/// The direct light of a sun in the distant panorama.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sun {
+    #[default]
+    Include,
+    Extract,
 }
 
 /// Where nodes stand.
@@ -435,11 +451,13 @@ impl QualityFlags {
             method: self.method.or(file.method),
             bounces: self.bounces.or(file.bounces),
             punctual: self.punctual.or(file.punctual),
+            sun: self.sun.or(file.sun),
             clamp: self.clamp.or(file.clamp),
             scene: self.scene.or(file.scene),
             sh: self.sh.or(file.sh),
             precision: self.precision.or(file.precision),
             zstd: self.zstd.or(file.zstd),
+            dering: self.dering.or(file.dering),
             blend: self.blend.or(file.blend),
             repair_pixels: self.repair_pixels.or(file.repair_pixels),
             max_memory: self.max_memory.or(file.max_memory),
@@ -468,6 +486,14 @@ fn parse_punctual(text: &str) -> Result<Punctual, String> {
         "include" => Ok(Punctual::Include),
         "exclude" => Ok(Punctual::Exclude),
         _ => Err("expected include or exclude".into()),
+    }
+}
+
+fn parse_sun(text: &str) -> Result<Sun, String> {
+    match text {
+        "include" => Ok(Sun::Include),
+        "extract" => Ok(Sun::Extract),
+        _ => Err("expected include or extract".into()),
     }
 }
 
@@ -530,6 +556,7 @@ mod text {
         sampler: super::Sampler = parse_sampler,
         method: super::Method = parse_method,
         punctual: super::Punctual = parse_punctual,
+        sun: super::Sun = parse_sun,
         scene_hit: super::SceneHit = parse_scene_hit,
         bands: u32 = parse_bands,
         precision: super::Precision = parse_precision,

@@ -7,7 +7,7 @@ use gdibl_baker::Finding;
 use gdibl_baker::bake::{Nodes, grid_of_counts, grid_of_spacing};
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
-use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
+use gdibl_baker::panorama::{Mapping, Panorama, Sun, to_lat_long};
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
@@ -62,6 +62,7 @@ impl Inputs {
                 rotation: rotation_of(entry, &imported)?,
                 exposure_stops: entry.exposure_stops,
                 panorama,
+                without_sun: None,
             });
         }
         Ok(inputs)
@@ -89,6 +90,21 @@ impl Inputs {
             });
         }
         Ok(())
+    }
+
+    /// Takes the sun out of what nodes see of the distant panorama; `None`, with a finding, where no sun stands out.
+    pub fn extract_sun(&mut self) -> Result<Option<Sun>, Fault> {
+        let Some(distant) = &mut self.distant else {
+            return Err(Fault::Usage(
+                "--sun extract: takes a sun out of the distant panorama; give --distant IMAGE".into(),
+            ));
+        };
+        let sun = distant.extract_sun();
+        if sun.is_none() {
+            let message = format!("{}: --sun extract finds no sun in it, and takes nothing out", distant.name);
+            self.findings.push(Finding::new("no-sun", 1, message));
+        }
+        Ok(sun)
     }
 
     /// No probe was given, and there is something that one could see.

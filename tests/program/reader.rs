@@ -6,7 +6,7 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 
 /// E by the independent reader.
-fn read_independently(folder: &Folder, volume: &str, places: &[[f64; 6]]) -> Option<Vec<[f64; 3]>> {
+pub fn read_independently(folder: &Folder, volume: &str, places: &[[f64; 6]]) -> Option<Vec<[f64; 3]>> {
     let mut command = Command::new(python()?);
     command.arg(repository("tests/format_reader.py")).arg(folder.path(volume));
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();

@@ -15,6 +15,7 @@ pub mod analyse;
 pub mod bake;
 pub mod capture;
 mod control;
+pub mod deringing;
 pub mod error;
 pub mod import;
 pub mod panorama;

@@ -5,6 +5,7 @@
 use bincode::{Decode, Encode};
 use serde::Serialize;
 
+use crate::panorama::Sun;
 pub use crate::plan::PlanRow;
 use crate::{Error, Finding, Result};
 
@@ -63,8 +64,42 @@ pub struct StatisticsRecord {
     pub relative_error: Option<ErrorSummary>,
     /// Mean share of the sphere that was covered, over all nodes.
     pub coverage: f64,
+    /// What de-ringing did; `None` where it was not asked for, or no node rings.
+    pub deringing: Option<DeringingRecord>,
+    /// The sun whose direct light was left out; `None` where that was not asked for, or no sun found.
+    pub sun: Option<SunRecord>,
     /// What the inputs had that deserves a look.
     pub findings: Vec<Finding>,
+}
+
+/// A sun that was taken out of the distant panorama: the directional light that an engine adds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct SunRecord {
+    /// Unit vector toward it, world.
+    pub direction: [f32; 3],
+    /// On a surface that faces it, linear Rec.709.
+    pub irradiance: [f32; 3],
+    /// Of a disc all as bright as its brightest pixel that gives this irradiance, degrees.
+    pub angular_diameter_degrees: f32,
+}
+
+impl From<Sun> for SunRecord {
+    fn from(sun: Sun) -> SunRecord {
+        SunRecord {
+            direction: sun.direction.into(),
+            irradiance: sun.irradiance.into(),
+            angular_diameter_degrees: sun.angular_diameter.to_degrees(),
+        }
+    }
+}
+
+/// What de-ringing did, see [`crate::deringing`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct DeringingRecord {
+    /// Nodes that rang.
+    pub nodes: u64,
+    /// What it changed in them: root mean square of the change of E over that of E.
+    pub relative_change: ErrorSummary,
 }
 
 /// Order statistics of a set of errors.

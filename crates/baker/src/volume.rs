@@ -1,11 +1,14 @@
 //! Packs a baked volume into the bytes of a `.gdibl` file (FORMAT.md, version 1).
 
-use gdibl_runtime::Volume;
-use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, SectionEntry};
+use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, SectionEntry, Units};
+use gdibl_runtime::{RadianceSh, Volume};
 use half::f16;
+use rayon::prelude::*;
 
 use crate::bake::{Baked, Nodes};
-use crate::records::{self, Records};
+use crate::deringing::{self, Rounding, Search};
+use crate::plan::PlanRow;
+use crate::records::{self, DeringingRecord, ErrorSummary, Records};
 pub use crate::whole::write_whole;
 
 /// Numbers of the coefficients.
@@ -25,16 +28,40 @@ pub struct PackSettings {
     pub precision: Precision,
     /// Compress sections with zstd where that makes them smaller. Level 3: 19 buys little more on SH.
     pub zstd: bool,
+    /// Leave no node with negative irradiance: see [`crate::deringing`].
+    pub dering: bool,
+}
+
+/// A packed volume.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Packed {
+    /// The whole file.
+    pub bytes: Vec<u8>,
+    /// As they stand in it: with what packing did.
+    pub records: Records,
 }
 
 /// The level of compression.
 const ZSTD_LEVEL: i32 = 3;
 
-/// The whole file.
-pub fn pack(nodes: &Nodes, baked: &Baked, records: &Records, settings: PackSettings) -> Vec<u8> {
-    let (encoding, scale) = match settings.precision {
-        Precision::F32 => (Encoding::F32, 1.0),
-        Precision::F16 => (Encoding::F16, f16_scale(&baked.sh)),
+/// Makes the file, and adds to the records what packing itself does.
+pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSettings) -> Packed {
+    let numbers = match settings.precision {
+        Precision::F32 => Numbers { encoding: Encoding::F32, scale: 1.0 },
+        Precision::F16 => Numbers { encoding: Encoding::F16, scale: f16_scale(&baked.sh) },
+    };
+    let mut windows = Vec::new();
+    if settings.dering {
+        windows = deringing_windows(baked, numbers);
+        records.statistics.deringing = deringing_record(baked, &windows);
+        records.plan.push(match &records.statistics.deringing {
+            None => PlanRow::new("deringing", false, "no node rings"),
+            Some(DeringingRecord { nodes: n, .. }) => PlanRow::new("deringing", true, format!("{n} nodes ring")),
+        });
+    }
+    let units = match records.statistics.deringing {
+        None => Units::Radiance,
+        Some(_) => Units::RadianceDeringed,
     };
     let count = nodes.len();
     let (kind, counts) = match nodes {
@@ -43,10 +70,11 @@ pub fn pack(nodes: &Nodes, baked: &Baked, records: &Records, settings: PackSetti
         Nodes::Vertices { .. } => (Kind::Vertices, [count as u32, 1, 1]),
     };
     let (min, max) = bounds(nodes);
-    let header = Header { kind, counts, bands: baked.bands, encoding, scale, min, max };
+    let header =
+        Header { kind, counts, bands: baked.bands, encoding: numbers.encoding, scale: numbers.scale, units, min, max };
 
     // Sections in the order in which a reader wants them. What the level does not need is not there.
-    let mut sections = vec![(format::RADIANCE, planes(baked, encoding, scale))];
+    let mut sections = vec![(format::RADIANCE, planes(baked, &windows, numbers))];
     if baked.valid.iter().any(|v| !v) {
         sections.push((format::VALIDITY, baked.valid.iter().map(|&v| u8::from(v)).collect()));
     }
@@ -72,13 +100,66 @@ pub fn pack(nodes: &Nodes, baked: &Baked, records: &Records, settings: PackSetti
     sections.push((format::PROBES, records::encode(&records.probes)));
     sections.push((format::STATISTICS, records::encode(&records.statistics)));
 
-    assemble(&header, sections, settings.zstd)
+    Packed { bytes: assemble(&header, sections, settings.zstd), records }
+}
+
+/// Per node the weight of bands 1 and up; `None` leaves it as it is.
+fn deringing_windows(baked: &Baked, numbers: Numbers) -> Vec<Option<f32>> {
+    let search = Search::default();
+    let window = |node| {
+        let node = node_sh(baked, node);
+        let mut stored = node;
+        stored.coefficients.iter_mut().flatten().for_each(|value| *value = numbers.read(*value));
+        deringing::window(&node, &stored, numbers.rounding(), &search)
+    };
+    (0..baked.valid.len()).into_par_iter().map(window).collect()
+}
+
+fn deringing_record(baked: &Baked, windows: &[Option<f32>]) -> Option<DeringingRecord> {
+    let rang = windows.iter().enumerate().filter_map(|(node, window)| window.map(|w| (node, w)));
+    let changes: Vec<f64> = rang.map(|(node, w)| deringing::relative_change(&node_sh(baked, node), w)).collect();
+    let relative_change = ErrorSummary::of(changes.iter().copied())?;
+    Some(DeringingRecord { nodes: changes.len() as u64, relative_change })
+}
+
+fn node_sh(baked: &Baked, node: usize) -> RadianceSh {
+    let mut sh = RadianceSh::zero(baked.bands);
+    let values = baked.node(node);
+    sh.coefficients.as_flattened_mut()[..values.len()].copy_from_slice(values);
+    sh
+}
+
+/// How coefficients are stored.
+#[derive(Debug, Clone, Copy)]
+struct Numbers {
+    encoding: Encoding,
+    scale: f32,
+}
+
+impl Numbers {
+    /// What a reader sees of a value.
+    fn read(self, value: f32) -> f32 {
+        match self.encoding {
+            Encoding::F32 => value,
+            Encoding::F16 => f16::from_f32(value / self.scale).to_f32() * self.scale,
+        }
+    }
+
+    /// What storing a product changes: half an ulp of f32 for the product, and half of one of f16.
+    fn rounding(self) -> Rounding {
+        match self.encoding {
+            Encoding::F32 => Rounding { relative: 0.5f64.powi(24), absolute: 0.0 },
+            Encoding::F16 => {
+                Rounding { relative: 0.5f64.powi(11) * 1.001, absolute: f64::from(self.scale) * 0.5f64.powi(25) }
+            }
+        }
+    }
 }
 
 /// What an engine would load: packed in single floats without records, and parsed again.
 pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
-    let bytes = pack(nodes, baked, &Records::default(), PackSettings { precision: Precision::F32, zstd: false });
-    Volume::parse(&bytes).expect("what was packed parses")
+    let settings = PackSettings { precision: Precision::F32, ..PackSettings::default() };
+    Volume::parse(&pack(nodes, baked, Records::default(), settings).bytes).expect("what was packed parses")
 }
 
 /// Compresses what gains by it, and puts directory and sections one behind the other.
@@ -111,15 +192,19 @@ fn compressed(header: &Header, id: [u8; 4], raw: Vec<u8>) -> (Codec, Filter, Vec
     if bytes.len() < raw.len() { (Codec::Zstd, filter, bytes) } else { (Codec::Raw, Filter::None, raw) }
 }
 
-/// Coefficients, one plane per coefficient and channel.
-fn planes(baked: &Baked, encoding: Encoding, scale: f32) -> Vec<u8> {
+/// Coefficients, one plane per coefficient and channel. The first three planes are band 0, which no window changes.
+fn planes(baked: &Baked, windows: &[Option<f32>], numbers: Numbers) -> Vec<u8> {
     let stride = baked.sh.len() / baked.valid.len().max(1);
-    let value = |plane: usize, node: usize| baked.sh[node * stride + plane];
+    let weight = |plane: usize, node: usize| windows.get(node).copied().flatten().filter(|_| plane >= 3);
+    let value = |plane: usize, node: usize| {
+        let value = baked.sh[node * stride + plane];
+        weight(plane, node).map_or(value, |weight| value * weight)
+    };
     let places = (0..stride).flat_map(|plane| (0..baked.valid.len()).map(move |node| (plane, node)));
-    match encoding {
+    match numbers.encoding {
         Encoding::F32 => floats(places.map(|(plane, node)| value(plane, node))),
         Encoding::F16 => {
-            let inverse = 1.0 / scale;
+            let inverse = 1.0 / numbers.scale;
             places.flat_map(|(plane, node)| f16::from_f32(value(plane, node) * inverse).to_le_bytes()).collect()
         }
     }

@@ -8,16 +8,18 @@ use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
-use gdibl_baker::records::{ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord};
+use gdibl_baker::records::{
+    DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord, SunRecord,
+};
 use gdibl_baker::sampling::Sampler;
-use gdibl_baker::volume::{PackSettings, Precision, pack, write_whole};
+use gdibl_baker::volume::{PackSettings, Packed, Precision, pack, write_whole};
 use gdibl_baker::{Control, Finding};
 use serde::Serialize;
 
 use crate::captures::capture_missing;
 use crate::config::{
-    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, check_target, clamp, gdibl_settings,
-    path_settings, set_threads,
+    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, Sun, check_target, clamp,
+    gdibl_settings, path_settings, set_threads,
 };
 use crate::fault::Fault;
 use crate::inputs::{Inputs, nodes_of};
@@ -57,6 +59,8 @@ struct Report<'a> {
     sh: String,
     relative_error: Option<ErrorSummary>,
     coverage: f64,
+    deringing: Option<DeringingRecord>,
+    sun: Option<SunRecord>,
     bytes: u64,
     plan: &'a [PlanRow],
     seed: u64,
@@ -74,6 +78,10 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 
     // Everything is read and refused before the first ray.
     let mut inputs = Inputs::read(&config, config.textures(!arguments.no_capture))?;
+    let sun = match config.quality.sun.unwrap_or_default() {
+        Sun::Include => None,
+        Sun::Extract => inputs.extract_sun()?.map(SunRecord::from),
+    };
     let nodes = nodes_of(&config, &inputs.scene)?;
     check_memory(&nodes, &settings, config.quality.max_memory)?;
     let captures = method == Method::Gdibl && !arguments.no_capture && inputs.lacks_probes();
@@ -99,7 +107,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
             let plan = [vec![capture], plan::plan(&inputs.scene, &function)].concat();
             if arguments.plan {
-                return print_plan(&plan, arguments.json);
+                return print_plan(plan, &config, arguments.json);
             }
             (plan, job.bake(&function)?)
         }
@@ -107,7 +115,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let path = Path::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config.quality)?);
             let plan = [vec![capture], plan::plan_path(&inputs.scene, &path)].concat();
             if arguments.plan {
-                return print_plan(&plan, arguments.json);
+                return print_plan(plan, &config, arguments.json);
             }
             (plan, job.bake(&path)?)
         }
@@ -116,14 +124,15 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let records = Records {
         settings: settings_record(&config, &settings, method),
         probes: probe_records(&inputs),
-        statistics: statistics(&baked, &inputs),
+        statistics: StatisticsRecord { sun, ..statistics(&baked, &inputs) },
         plan,
     };
     let packing = PackSettings {
         precision: config.quality.precision.unwrap_or_default(),
         zstd: config.quality.zstd.unwrap_or(false),
+        dering: config.quality.dering.unwrap_or(false),
     };
-    let bytes = pack(&nodes, &baked, &records, packing);
+    let Packed { bytes, records } = pack(&nodes, &baked, records, packing);
     if cancel.load(Ordering::Relaxed) {
         return Err(Fault::Interrupted);
     }
@@ -139,6 +148,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         sh: format!("L{}", baked.bands),
         relative_error: records.statistics.relative_error,
         coverage: records.statistics.coverage,
+        deringing: records.statistics.deringing,
+        sun: records.statistics.sun,
         bytes: bytes.len() as u64,
         plan: &records.plan,
         seed: settings.seed,
@@ -308,15 +319,21 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
         samples: baked.samples,
         relative_error: ErrorSummary::of(valid().map(|(_, error)| f64::from(*error))),
         coverage: baked.coverage.iter().map(|c| f64::from(*c)).sum::<f64>() / baked.coverage.len() as f64,
+        deringing: None,
+        sun: None,
         findings: inputs.findings.clone(),
     }
 }
 
-fn print_plan(plan: &[PlanRow], json: bool) -> Result<(), Fault> {
+fn print_plan(mut plan: Vec<PlanRow>, config: &Config, json: bool) -> Result<(), Fault> {
+    // What was baked tells whether any does.
+    if config.quality.dering == Some(true) {
+        plan.push(PlanRow::new("deringing", true, "nodes that ring are windowed"));
+    }
     if json {
         return super::print_json(&plan);
     }
-    for row in plan {
+    for row in &plan {
         super::print_line(&format!("{:<16} {:<9} {}", row.stage, if row.kept { "kept" } else { "left out" }, row.why))?;
     }
     Ok(())
@@ -357,6 +374,12 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
             None => "  error     not measured: that takes at least two samples per node".into(),
         },
     ];
+    if let Some(sun) = &report.sun {
+        lines.push(format!("  sun       {}", super::sun_text(sun)));
+    }
+    if let Some(deringing) = &report.deringing {
+        lines.push(format!("  de-ringed {}", super::deringing_text(deringing)));
+    }
     let left_out = report.plan.iter().filter(|row| !row.kept);
     lines.extend(left_out.map(|row| format!("  left out  {}: {}", row.stage, row.why)));
     super::print_line(&lines.join("\n"))

@@ -37,6 +37,9 @@ pub struct Arguments {
 struct Report {
     found: String,
     truth: String,
+    /// Nodes that rang were windowed in it.
+    found_deringed: bool,
+    truth_deringed: bool,
     #[serde(flatten)]
     comparison: Comparison,
     tolerance: Option<f64>,
@@ -48,6 +51,7 @@ pub struct Input {
     pub light: Kind,
     /// Of a volume.
     pub seed: Option<u64>,
+    pub deringed: bool,
 }
 
 pub enum Kind {
@@ -73,6 +77,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     }
     let (found, truth) = (read(found_path)?, read(truth_path)?);
     let settings = CompareSettings { common_seed: found.seed.is_some() && found.seed == truth.seed };
+    let (found_deringed, truth_deringed) = (found.deringed, truth.deringed);
     let Kind::Volume(found) = found.light else {
         return Err(Fault::Invalid(format!(
             "{}: is a reference; the volume comes first: gdibl compare VOLUME.gdibl REFERENCE.json",
@@ -85,7 +90,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let relative_rmse = comparison.all.relative_rmse;
     let within_tolerance = tolerance.map(|tolerance| relative_rmse <= tolerance);
     let [found, truth] = [found_path, truth_path].map(|path| path.display().to_string());
-    let report = Report { found, truth, comparison, tolerance: *tolerance, within_tolerance };
+    let report =
+        Report { found, truth, found_deringed, truth_deringed, comparison, tolerance: *tolerance, within_tolerance };
     if *json {
         super::print_json(&report)?
     } else {
@@ -105,7 +111,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 pub fn read(path: &Path) -> Result<Input, Fault> {
     let bytes = super::read_volume_bytes(path)?;
     if is_json(&bytes) {
-        return Ok(Input { light: Kind::Reference(parse_reference(path, &bytes)?), seed: None });
+        return Ok(Input { light: Kind::Reference(parse_reference(path, &bytes)?), seed: None, deringed: false });
     }
     if !bytes.starts_with(&MAGIC) {
         return Err(Fault::Invalid(format!(
@@ -118,7 +124,11 @@ pub fn read(path: &Path) -> Result<Input, Fault> {
     let volume = Volume::parse(&bytes).map_err(fault)?;
     let directory = format::parse_header_and_sections(&bytes).map_err(fault)?;
     let settings: Option<SettingsRecord> = super::record(&directory, path, format::SETTINGS)?;
-    Ok(Input { light: Kind::Volume(Box::new(volume)), seed: settings.map(|settings| settings.seed) })
+    Ok(Input {
+        deringed: volume.header().is_deringed(),
+        light: Kind::Volume(Box::new(volume)),
+        seed: settings.map(|settings| settings.seed),
+    })
 }
 
 fn chosen(truths: Vec<Truth>, names: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {
@@ -144,6 +154,11 @@ fn print(report: &Report) -> Result<(), Fault> {
         }
     }
     row("light", bands_text(comparison, found, truth));
+    for (deringed, name) in [(report.found_deringed, found), (report.truth_deringed, truth)] {
+        if deringed {
+            row("", format!("{name} is de-ringed: not the raw projection"));
+        }
+    }
     row("error", error_text(all.relative_rmse, all.rmse, all.bias, all.mean_difference));
     for (name, of) in ["red", "green", "blue"].iter().zip(&all.channels) {
         row(name, error_text(of.relative_rmse, of.rmse, of.bias, of.mean_difference));

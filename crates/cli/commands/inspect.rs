@@ -31,6 +31,7 @@ struct Report {
     sh: String,
     precision: &'static str,
     scale: f32,
+    deringed: bool,
     sections: Vec<SectionReport>,
     volume: VolumeSummary,
     settings: Option<SettingsRecord>,
@@ -72,6 +73,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         sh: format!("L{}", header.bands),
         precision: if header.encoding == Encoding::F16 { "f16" } else { "f32" },
         scale: header.scale,
+        deringed: header.is_deringed(),
         sections: sections(&directory),
         volume: summarise(&volume),
         settings: super::record(&directory, path, format::SETTINGS)?,
@@ -106,7 +108,8 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
     row("kind", kind_text(report, header));
     let [a, b] = [report.min, report.max].map(|p| format!("{:.3} {:.3} {:.3}", p[0], p[1], p[2]));
     row("box", format!("{a}  to  {b}"));
-    row("light", format!("radiance to {} in {}, times {}", report.sh, report.precision, report.scale));
+    let how = if report.deringed { ", de-ringed" } else { "" };
+    row("light", format!("radiance to {} in {}, times {}{how}", report.sh, report.precision, report.scale));
     let volume = &report.volume;
     row("valid", format!("{} of {} nodes", volume.nodes_valid, volume.nodes));
     for (name, range) in ["red", "green", "blue"].iter().zip(&volume.irradiance) {
@@ -162,6 +165,12 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
     }
     if let Some(statistics) = &report.statistics {
         let (rays, samples) = (statistics.rays as f64 / 1e6, statistics.samples as f64 / 1e6);
+        if let Some(sun) = &statistics.sun {
+            row("sun", super::sun_text(sun));
+        }
+        if let Some(deringing) = &statistics.deringing {
+            row("de-ringed", super::deringing_text(deringing));
+        }
         row("work", format!("{rays:.1} M rays for {samples:.1} M directions"));
         for finding in &statistics.findings {
             row("finding", format!("{} ({}): {}", finding.id, finding.count, finding.message));

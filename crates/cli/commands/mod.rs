@@ -8,7 +8,7 @@ pub mod render;
 pub mod sample;
 pub mod study;
 
-use gdibl_baker::records::{Record, decode};
+use gdibl_baker::records::{DeringingRecord, Record, SunRecord, decode};
 use gdibl_runtime::format::{Directory, Limits};
 use serde::Serialize;
 use std::io::Write;
@@ -64,6 +64,20 @@ fn record<T: Record>(directory: &Directory, path: &Path, id: [u8; 4]) -> Result<
     let bytes = directory.section_bytes(id, &Limits::default()).map_err(|error| volume_fault(path, &error))?;
     let name = String::from_utf8_lossy(&id);
     bytes.map(|bytes| decode(&bytes, path, &name)).transpose().map_err(Fault::from)
+}
+
+/// The sun that an engine adds, in words.
+fn sun_text(sun: &SunRecord) -> String {
+    let SunRecord { direction: [x, y, z], irradiance: [r, g, b], angular_diameter_degrees: diameter } = sun;
+    format!(
+        "left out: toward {x:.4} {y:.4} {z:.4}, irradiance {r:.4} {g:.4} {b:.4} on a surface facing it, {diameter:.2}° wide"
+    )
+}
+
+/// What de-ringing did, in words.
+fn deringing_text(deringing: &DeringingRecord) -> String {
+    let [median, max] = [deringing.relative_change.median, deringing.relative_change.max].map(|e| e * 100.0);
+    format!("{} nodes; their irradiance changed by {median:.2} % median, {max:.2} % worst node", deringing.nodes)
 }
 
 /// Bytes that can still be taken without swapping; `None` where the system does not tell.

@@ -26,6 +26,12 @@ pub struct Arguments {
 pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let bytes = super::read_volume_bytes(&arguments.file)?;
     let volume = Volume::parse(&bytes).map_err(|error| super::volume_fault(&arguments.file, &error))?;
+    if volume.header().is_deringed() {
+        eprintln!(
+            "gdibl: {} is de-ringed: coefficients of nodes that rang are not the raw projection",
+            arguments.file.display()
+        );
+    }
     let places = read_places(&arguments.at)?;
     if places.normals.is_empty() && !arguments.sh {
         return Err(Fault::Invalid(format!(

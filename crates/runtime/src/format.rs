@@ -25,8 +25,6 @@ use alloc::vec::Vec;
 pub const MAGIC: [u8; 8] = *b"\x89GDIBL\n\x1a";
 /// The version written and read.
 pub const VERSION: u32 = 1;
-/// Units 0: radiance, linear Rec.709.
-pub const UNITS_RADIANCE: u32 = 0;
 /// Bytes of the header.
 pub const HEADER_SIZE: usize = 96;
 /// Bytes of one entry of the section table.
@@ -81,6 +79,17 @@ pub enum Encoding {
     F16 = 1,
 }
 
+/// What the coefficients are of. Both kinds evaluate alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Units {
+    /// Radiance, linear Rec.709, as projected.
+    Radiance = 0,
+    /// The same, de-ringed: where a node's irradiance would turn negative for some normal, bands 1 and up are scaled
+    /// down, all alike, until it does not. See `FORMAT.md`.
+    RadianceDeringed = 1,
+}
+
 /// How a section is compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
@@ -128,6 +137,8 @@ pub struct Header {
     pub encoding: Encoding,
     /// value = stored * scale: a power of two from 2^-100 to 2^100; 1 for [`Encoding::F32`].
     pub scale: f32,
+    /// What the coefficients are of.
+    pub units: Units,
     /// The box's lowest corner, metres.
     pub min: [f64; 3],
     /// The box's highest corner, metres.
@@ -143,6 +154,12 @@ impl Header {
     /// Box and counts as a grid.
     pub fn grid(&self) -> Grid {
         Grid { min: self.min, max: self.max, counts: self.counts }
+    }
+
+    /// Nodes that would ring have been windowed: irradiance is nowhere negative. The coefficients are then not those of
+    /// the raw projection.
+    pub fn is_deringed(&self) -> bool {
+        self.units == Units::RadianceDeringed
     }
 
     /// Floats per node: three per coefficient.
@@ -186,7 +203,7 @@ impl Header {
             self.bands,
             self.encoding as u32,
             self.scale.to_bits(),
-            UNITS_RADIANCE,
+            self.units as u32,
             section_count,
         ];
         for (place, word) in bytes[8..48].chunks_exact_mut(4).zip(words) {
@@ -220,9 +237,11 @@ impl Header {
         if word(28) > MAX_BANDS {
             return Err(unknown("byte 28: SH bands", word(28), "0 to 4"));
         }
-        if word(40) != UNITS_RADIANCE {
-            return Err(unknown("byte 40: units", word(40), "0"));
-        }
+        let units = match word(40) {
+            0 => Units::Radiance,
+            1 => Units::RadianceDeringed,
+            other => return Err(unknown("byte 40: units", other, "0 or 1")),
+        };
         let section_count = word(44);
         if section_count as usize > MAX_SECTIONS {
             return Err(Error::invalid(
@@ -238,6 +257,7 @@ impl Header {
             bands: word(28),
             encoding,
             scale: f32::from_bits(word(36)),
+            units,
             min: [float(48), float(56), float(64)],
             max: [float(72), float(80), float(88)],
         };

@@ -64,7 +64,7 @@ mod shuffle;
 pub mod volume;
 
 pub use error::Error;
-pub use format::{Header, Kind, Limits};
+pub use format::{Header, Kind, Limits, Units};
 pub use grid::{Cell, Grid};
 pub use sample::Sample;
 pub use sh::{IrradianceSh, RadianceSh};

@@ -208,6 +208,8 @@ impl RadianceSh {
     /// A channel with C0 <= 0 gives 0; r is held at 1; where C1 is 0 the lobe is a constant. On a function of bands 0
     /// and 1 it agrees with `convolve().evaluate(normal)` to first order in r.
     ///
+    /// Of coefficients as projected: de-ringed ones have r at 1/2 or less, and make the lobe too flat.
+    ///
     /// Based on: G. Hazel, "Reconstructing diffuse lighting from spherical harmonic data" (2018); his R1 is half of a
     /// mean radiance's gradient, hence the 1/√3 for an orthonormal basis.
     pub fn irradiance_l1_nonlinear(&self, normal: [f32; 3]) -> [f32; 3] {
@@ -239,7 +241,8 @@ impl IrradianceSh {
     /// `diffuse = albedo / PI * irradiance`.
     ///
     /// Not clamped: on the side away from something very bright the bands may ring below 0 (L2 by some 2 % of the
-    /// mean on real HDR environments, L1 by up to 70 %). Clamp where you shade, not where you still add lights up.
+    /// mean on real HDR environments, L1 by up to 70 %). Clamp where you shade, not where you still add lights up. Volumes
+    /// whose header [says so](crate::Header::is_deringed) do not ring.
     pub fn evaluate(&self, normal: [f32; 3]) -> [f32; 3] {
         self.sum(normal)
     }

@@ -12,11 +12,12 @@ fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/golden").join(name)
 }
 
-fn files() -> [(&'static str, File); 3] {
+fn files() -> [(&'static str, File); 4] {
     [
         ("v1_grid_f16.gdibl", small_grid()),
         ("v1_points_f32.gdibl", small_points()),
         ("v1_vertices_f16.gdibl", small_vertices()),
+        ("v1_points_f32_deringed.gdibl", File { units: 1, ..small_points() }),
     ]
 }
 
@@ -30,6 +31,7 @@ fn golden(name: &str, written: Vec<u8>) -> Vec<u8> {
 fn check_contents(name: &str, bytes: &[u8]) {
     let volume = Volume::parse(bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
     let header = volume.header();
+    assert_eq!(header.is_deringed(), name.contains("deringed"));
     for node in 0..volume.node_count() {
         let sh = volume.node_sh(node);
         for index in 0..25 {

@@ -74,7 +74,7 @@ fn parse_refuses_what_it_does_not_know() {
     assert_unsupported(File { kind: 3, ..small_grid() }, "kind");
     assert_unsupported(File { encoding: 2, ..small_grid() }, "encoding");
     assert_unsupported(File { bands: 5, ..small_grid() }, "bands");
-    assert_unsupported(File { units: 1, ..small_grid() }, "units");
+    assert_unsupported(File { units: 2, ..small_grid() }, "units");
     let mut file = small_grid();
     file.sections[5].codec = 2;
     assert_unsupported(file, "codec 2");

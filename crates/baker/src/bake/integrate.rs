@@ -230,7 +230,8 @@ impl Integrator {
                 let arriving = radiance(place.origin, direction, &mut course.context).ok_or(Interrupted)?;
                 let distance = course.context.reach.unwrap_or(f32::INFINITY);
                 let brightness = arriving.value.element_sum() / 3.0;
-                firsts.push(First { glance: Glance { origin: place.origin, direction, distance, brightness }, arriving });
+                firsts
+                    .push(First { glance: Glance { origin: place.origin, direction, distance, brightness }, arriving });
             }
         }
         Ok(course)

@@ -245,11 +245,8 @@ fn sample_nodes(
         samples: 0,
     };
     let sampled = Mutex::new(sampled);
-    let integration = IntegratorSettings {
-        bands: settings.bands,
-        clamp: settings.clamp,
-        importance: settings.importance,
-    };
+    let integration =
+        IntegratorSettings { bands: settings.bands, clamp: settings.clamp, importance: settings.importance };
     nodes.neighbourhoods().par_chunks(NEIGHBOURS).with_max_len(1).try_for_each_init(
         || Integrator::new(integration),
         |integrator, neighbours| {

@@ -23,6 +23,7 @@ mod grid;
 mod image;
 mod importance;
 mod mapping;
+mod sun;
 mod tiles;
 #[cfg(test)]
 mod tolerance;
@@ -35,8 +36,9 @@ pub use convert::{from_lat_long, to_lat_long};
 pub(crate) use grid::PixelGrid;
 pub use image::Image;
 pub use importance::Importance;
-pub use tiles::{TileChoice, Tiles};
 pub use mapping::{Mapping, guess_from_aspect};
+pub use sun::{Sun, take_out_sun};
+pub use tiles::{TileChoice, Tiles};
 
 /// A lat-long panorama in gdibl's orientation; see the module for the mapping.
 #[derive(Debug, Clone)]

@@ -197,4 +197,3 @@ pub(super) fn choose(point: f64, count: usize, cumulative: impl Fn(usize) -> f64
     let (start, end) = (cumulative(low), cumulative(low + 1));
     (low, if end > start { ((point - start) / (end - start)).clamp(0.0, 1.0) } else { 0.5 })
 }
-

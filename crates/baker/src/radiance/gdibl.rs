@@ -201,7 +201,10 @@ impl<'a> Gdibl<'a> {
                 part.value += self.effect(&hit, walk, context) * part.coverage;
                 part
             }
-            Met::Nothing => self.escaping_radiance(direction, context),
+            Met::Nothing => match &self.sky {
+                Some(sky) if walk.step == 0 => Radiance::covered(sky.radiance_at_node(direction)),
+                _ => self.escaping_radiance(direction, context),
+            },
         })
     }
 

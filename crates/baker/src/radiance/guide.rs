@@ -40,6 +40,8 @@ impl Technique {
 #[derive(Debug)]
 pub struct Guide {
     sky: Option<SkyImportance>,
+    /// What nodes see of the sky, where that is not the whole of it.
+    sky_at_nodes: Option<SkyImportance>,
     emitters: Option<Emitters>,
     /// Of directions turned by `to_local`.
     tiles: Tiles,
@@ -53,7 +55,7 @@ impl Guide {
         let emitters = Emitters::new(scene, surfaces);
         let tiles = sky.as_ref().map_or_else(|| Tiles::new(64, 32), |sky| sky.tiles().clone());
         let to_local = sky.as_ref().map_or(Mat3::IDENTITY, SkyImportance::to_local);
-        Guide { sky, emitters, tiles, to_local }
+        Guide { sky, sky_at_nodes: distant.and_then(SkyImportance::at_nodes), emitters, tiles, to_local }
     }
 
     /// Nothing is known to be bright.
@@ -103,7 +105,7 @@ impl Guide {
 
     /// What glances tell.
     pub fn outlook(&self, glances: &GlanceSums) -> Outlook {
-        let sky = self.sky.iter().flat_map(SkyImportance::light);
+        let sky = self.sky_at_nodes().into_iter().flat_map(SkyImportance::light);
         let none = std::iter::repeat_n(0.0, if self.sky.is_some() { 0 } else { self.tiles.len() });
         let mut outlook = glances.outlook(&self.tiles, sky.chain(none));
         outlook.share(UNIFORM_SHARE, self.sky.is_some(), self.emitters.is_some());
@@ -120,7 +122,7 @@ impl Guide {
                 self.to_local.transpose() * self.tiles.uniform_in(tile, point)
             }
             Technique::Sky => {
-                let sky = self.sky.as_ref().expect("without a sky no direction goes there");
+                let sky = self.sky_at_nodes().expect("without a sky no direction goes there");
                 let (tile, point) = outlook.sky.choose(point);
                 sky.sample_in(tile, point)
             }
@@ -144,7 +146,7 @@ impl Guide {
     }
 
     fn sky_density_and_tile(&self, direction: Vec3) -> (f32, usize) {
-        match &self.sky {
+        match self.sky_at_nodes() {
             Some(sky) => sky.density_and_tile(direction),
             None => (0.0, self.tiles.of(direction)),
         }
@@ -178,6 +180,10 @@ impl Guide {
         let sky = self.sky.as_ref().map_or(0.0, |sky| sky.density(direction));
         let emitters = self.emitters_density(origin, direction);
         if self.sky.is_some() && self.emitters.is_some() { 0.5 * (sky + emitters) } else { sky + emitters }
+    }
+
+    fn sky_at_nodes(&self) -> Option<&SkyImportance> {
+        self.sky_at_nodes.as_ref().or(self.sky.as_ref())
     }
 
     fn emitters_density(&self, origin: Vec3, direction: Vec3) -> f32 {
@@ -215,16 +221,22 @@ mod tests {
         }
     }
 
-    fn guides() -> Vec<Guide> {
-        let scene = scene();
-        let surfaces = Surfaces::new(&scene, |_| true, &Frame::default()).unwrap();
+    fn distant() -> Distant {
         let mut pixels = vec![[0.1; 3]; 32 * 16];
         pixels[5 * 32 + 9] = [500.0; 3];
         let panorama = Panorama::new(32, 16, pixels, None);
-        let distant =
-            Distant { name: String::new(), rotation: Quat::from_rotation_x(0.5), exposure_stops: 0.0, panorama };
+        Distant { rotation: Quat::from_rotation_x(0.5), panorama, ..Distant::black() }
+    }
+
+    fn guides() -> Vec<Guide> {
+        let scene = scene();
+        let surfaces = Surfaces::new(&scene, |_| true, &Frame::default()).unwrap();
+        let distant = distant();
+        let mut sunless = distant.clone();
+        sunless.extract_sun().expect("one pixel stands out");
         vec![
             Guide::new(&scene, None, &[]),
+            Guide::new(&scene, Some(&sunless), &[]),
             Guide::new(&scene, Some(&distant), &[]),
             Guide::new(&scene, None, &[&surfaces]),
             Guide::new(&scene, Some(&distant), &[&surfaces]),
@@ -236,14 +248,19 @@ mod tests {
         let mut few = guide.no_glances();
         let mut window = guide.no_glances();
         for (number, direction) in fibonacci_sphere(300).into_iter().enumerate() {
-            let glance = Glance { origin: Vec3::new(0.2, 0.0, 0.1), direction, distance: 3.0, brightness: direction.y + 1.0 };
+            let glance =
+                Glance { origin: Vec3::new(0.2, 0.0, 0.1), direction, distance: 3.0, brightness: direction.y + 1.0 };
             if number < 20 {
                 guide.add_glance(&mut few, Vec3::ZERO, &glance);
             }
             let distance = if direction.z < -0.8 { f32::INFINITY } else { 1.0 };
             guide.add_glance(&mut window, Vec3::ZERO, &Glance { distance, ..glance });
         }
-        [guide.no_glances(), few, window].iter().map(|sums| guide.outlook(sums)).chain([guide.uniform_outlook()]).collect()
+        [guide.no_glances(), few, window]
+            .iter()
+            .map(|sums| guide.outlook(sums))
+            .chain([guide.uniform_outlook()])
+            .collect()
     }
 
     #[test]
@@ -270,7 +287,8 @@ mod tests {
                     let share = f64::from(outlook.shares()[technique as usize]);
                     let stream = Stream::new(Sampler::Sobol, 0, 0, technique as u32);
                     for sample in 0..if share > 0.0 { count } else { 0 } {
-                        let (direction, weight) = guide.propose(&outlook, technique, Vec3::ZERO, stream.point(sample, 0));
+                        let (direction, weight) =
+                            guide.propose(&outlook, technique, Vec3::ZERO, stream.point(sample, 0));
                         assert!((direction.length() - 1.0).abs() < 1e-5);
                         area += share * f64::from(weight) / f64::from(count);
                         upper += if direction.y > 0.0 { share * f64::from(weight) / f64::from(count) } else { 0.0 };

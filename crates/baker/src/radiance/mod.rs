@@ -28,7 +28,8 @@ pub trait RadianceFunction: Sync {
     /// Which directions are worth a ray.
     fn guide(&self) -> &Guide;
 
-    /// Radiance that arrives at `origin` (trace space) from the unit `direction`. Pair 0 of the context's random numbers
+    /// Radiance that arrives at `origin` (trace space) from the unit `direction`, without the sun that was taken out of the
+    /// distant panorama ([`Distant::extract_sun`]) where the ray meets it first: light that bounces saw the whole. Pair 0 of the context's random numbers
     /// has chosen the direction; the function takes its own from the later ones.
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance;
 

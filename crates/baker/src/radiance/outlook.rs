@@ -73,16 +73,17 @@ impl GlanceSums {
     /// What these tell; `sky` is the mean radiance over the sphere that comes from each tile.
     pub(super) fn outlook(&self, tiles: &Tiles, sky: impl Iterator<Item = f64>) -> Outlook {
         let around = |tile: usize| {
-            tiles.neighbours(tile).fold(self.tiles[tile], |sum, next| {
-                std::array::from_fn(|i| sum[i] + BLUR * self.tiles[next][i])
-            })
+            tiles
+                .neighbours(tile)
+                .fold(self.tiles[tile], |sum, next| std::array::from_fn(|i| sum[i] + BLUR * self.tiles[next][i]))
         };
         let total = self.tiles.iter().fold([0.0; 3], |sum: [f32; 3], own| std::array::from_fn(|i| sum[i] + own[i]));
         let mean = if total[2] > 0.0 { total[0] / total[2] } else { 1.0 };
         let known: Vec<[f32; 3]> = (0..tiles.len()).map(around).collect();
         // What a share of the samples leaves of their variance is least when it follows the root mean square.
         let brightness = known.iter().map(|[squares, _, all]| ((squares + PRIOR * mean) / (all + PRIOR)).sqrt());
-        let surfaces: Vec<f64> = brightness.enumerate().map(|(t, b)| f64::from(b) * tiles.solid_angle_share(t)).collect();
+        let surfaces: Vec<f64> =
+            brightness.enumerate().map(|(t, b)| f64::from(b) * tiles.solid_angle_share(t)).collect();
         let clear: Vec<f64> = known.iter().map(|[_, sky, all]| f64::from((sky + PRIOR) / (all + PRIOR))).collect();
         let whole: Vec<f64> = sky.collect();
         let sky: Vec<f64> = whole.iter().zip(&clear).map(|(light, clear)| light * clear).collect();

@@ -2,7 +2,7 @@
 
 use glam::{Mat3, Quat, Vec3};
 
-use crate::panorama::{Importance, Panorama, Tiles};
+use crate::panorama::{Importance, Panorama, Sun, Tiles, take_out_sun};
 
 /// A panorama at infinity.
 #[derive(Debug, Clone)]
@@ -15,13 +15,28 @@ pub struct Distant {
     pub exposure_stops: f32,
     /// The image.
     pub panorama: Panorama,
+    /// The image without its sun, which is what nodes see of it; the sun is the engine's, as a directional light. `None`: they
+    /// see the whole image. Surfaces, and so what bounces, and cameras always do.
+    pub without_sun: Option<Panorama>,
 }
 
 impl Distant {
     /// Nothing at infinity, and that is known.
     pub fn black() -> Distant {
         let panorama = Panorama::new(1, 1, vec![[0.0; 3]], None);
-        Distant { name: "black".into(), rotation: Quat::IDENTITY, exposure_stops: 0.0, panorama }
+        Distant { name: "black".into(), rotation: Quat::IDENTITY, exposure_stops: 0.0, panorama, without_sun: None }
+    }
+
+    /// Takes the sun out of what nodes see, and returns it: direction in the world, exposure in its irradiance. `None`
+    /// where no sun stands out; then nothing changes.
+    pub fn extract_sun(&mut self) -> Option<Sun> {
+        let (sun, rest) = take_out_sun(&self.panorama)?;
+        self.without_sun = Some(rest);
+        Some(Sun {
+            direction: (self.rotation * sun.direction).normalize(),
+            irradiance: sun.irradiance * self.exposure_stops.exp2(),
+            ..sun
+        })
     }
 }
 
@@ -29,6 +44,7 @@ impl Distant {
 #[derive(Debug)]
 pub(super) struct Sky<'a> {
     panorama: &'a Panorama,
+    from_nodes: &'a Panorama,
     to_local: Mat3,
     gain: f32,
 }
@@ -37,6 +53,7 @@ impl<'a> Sky<'a> {
     pub fn new(distant: &'a Distant) -> Sky<'a> {
         Sky {
             panorama: &distant.panorama,
+            from_nodes: distant.without_sun.as_ref().unwrap_or(&distant.panorama),
             to_local: Mat3::from_quat(distant.rotation.inverse()),
             gain: distant.exposure_stops.exp2(),
         }
@@ -45,6 +62,11 @@ impl<'a> Sky<'a> {
     /// Radiance that arrives from the unit `direction` (world).
     pub fn radiance(&self, direction: Vec3) -> Vec3 {
         self.panorama.radiance(self.to_local * direction) * self.gain
+    }
+
+    /// The same at a node: without the sun, if it was taken out.
+    pub fn radiance_at_node(&self, direction: Vec3) -> Vec3 {
+        self.from_nodes.radiance(self.to_local * direction) * self.gain
     }
 }
 
@@ -59,7 +81,16 @@ pub(super) struct SkyImportance {
 impl SkyImportance {
     /// `None` for a black panorama.
     pub fn new(distant: &Distant) -> Option<SkyImportance> {
-        let importance = Importance::new(&distant.panorama)?;
+        SkyImportance::of(&distant.panorama, distant)
+    }
+
+    /// Toward what is bright once the sun is out; `None` where none was taken out, or all that is left is black.
+    pub fn at_nodes(distant: &Distant) -> Option<SkyImportance> {
+        SkyImportance::of(distant.without_sun.as_ref()?, distant)
+    }
+
+    fn of(panorama: &Panorama, distant: &Distant) -> Option<SkyImportance> {
+        let importance = Importance::new(panorama)?;
         let to_local = Mat3::from_quat(distant.rotation.inverse());
         Some(SkyImportance { importance, to_local, gain: distant.exposure_stops.exp2() })
     }

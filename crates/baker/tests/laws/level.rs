@@ -80,7 +80,7 @@ pub fn probe(position: DVec3, width: usize, light: impl Fn(Vec3) -> [f32; 3]) ->
 }
 
 pub fn distant(panorama: Panorama) -> Distant {
-    Distant { name: "sky".into(), rotation: Quat::IDENTITY, exposure_stops: 0.0, panorama }
+    Distant { name: "sky".into(), panorama, ..Distant::black() }
 }
 
 /// Three probes of unlike, smooth light in [`room_with_pillar`].
@@ -108,6 +108,13 @@ pub fn volume_of(nodes: &Nodes, function: &Gdibl, settings: &BakeSettings) -> Vo
     let cancel = AtomicBool::new(false);
     let control = Control { cancel: &cancel, progress: &|_, _| {} };
     let baked = bake(nodes, function, settings, &control).expect("nobody interrupts");
+    let bytes =
+        pack(nodes, &baked, records(), PackSettings { precision: Precision::F32, ..PackSettings::default() }).bytes;
+    Volume::parse(&bytes).expect("what was packed parses")
+}
+
+/// Records that say nothing.
+pub fn records() -> Records {
     let none = String::new;
     let settings = SettingsRecord {
         writer: none(),
@@ -127,11 +134,11 @@ pub fn volume_of(nodes: &Nodes, function: &Gdibl, settings: &BakeSettings) -> Vo
         samples: 0,
         relative_error: None,
         coverage: 0.0,
+        deringing: None,
+        sun: None,
         findings: Vec::new(),
     };
-    let records = Records { settings, plan: Vec::new(), probes: Vec::new(), statistics };
-    let bytes = pack(nodes, &baked, &records, PackSettings { precision: Precision::F32, zstd: false });
-    Volume::parse(&bytes).expect("what was packed parses")
+    Records { settings, plan: Vec::new(), probes: Vec::new(), statistics }
 }
 
 /// Coefficients of a node.

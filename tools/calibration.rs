@@ -1,64 +1,69 @@
-//! scratch: noise over seeds
+//! Do the error bars hold? Bakes the nodes of the box's truth with many seeds, and counts how often the 95 % interval of a
+//! coefficient covers what a long bake of the same method converges to.
+//!
+//! `cargo run --release -p gdibl-tools --bin calibration -- LEVEL.glb LIGHTING_FOLDER [SAMPLES,… [SEEDS [path]]]`; the
+//! folder as for `blend_table`. Exit code 1 if a share is not within 92 to 98 %.
+
+use gdibl_baker::analyse::{Calibration, calibrate};
 use gdibl_baker::bake::{BakeSettings, Nodes};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
-use gdibl_baker::radiance::path::{Path as PathF, PathSettings};
-use gdibl_runtime::{RadianceSh, sh};
+use gdibl_baker::radiance::path::{Path as PathTracer, PathSettings};
 use gdibl_tools::{bake_all, read_lighting, read_scene, read_truth};
 use glam::DVec3;
 use std::path::Path;
 
-fn noise(f: &impl RadianceFunction, nodes: &Nodes, samples: u64, seeds: u64) {
-    let started = std::time::Instant::now();
-    let all: Vec<_> =
-        (0..seeds).map(|seed| bake_all(f, nodes, &BakeSettings { samples, seed, ..BakeSettings::default() })).collect();
-    let time = started.elapsed().as_secs_f64();
-    let n = all[0].sh.len();
-    let count = sh::coefficient_count(2);
-    let (mut var, mut sq) = (0.0, 0.0);
-    let mut per_node = vec![(0.0, 0.0); nodes.len()];
-    for i in 0..n {
-        let coefficient = i / 3 % count;
-        let a = f64::from(sh::COSINE[sh::band_of(coefficient)]);
-        let mean = all.iter().map(|b| f64::from(b.sh[i])).sum::<f64>() / seeds as f64;
-        let v = all.iter().map(|b| (f64::from(b.sh[i]) - mean).powi(2)).sum::<f64>() / (seeds - 1) as f64;
-        var += a * a * v;
-        sq += a * a * mean * mean;
-        per_node[i / 3 / count].0 += a * a * v;
-        per_node[i / 3 / count].1 += a * a * mean * mean;
-    }
-    let mut rel: Vec<f64> = per_node.iter().map(|(v, s)| (v / s).sqrt()).collect();
-    rel.sort_by(f64::total_cmp);
-    let claimed: f64 = all.iter().flat_map(|b| b.relative_error.iter().map(|e| f64::from(*e).powi(2))).sum::<f64>()
-        / (seeds as usize * nodes.len()) as f64;
-    println!(
-        "{samples:6}: noise {:.3} %  node rms {:.3} median {:.3} p95 {:.3} max {:.3}  claimed node rms {:.3}  rays/dir {:.2} time/node {:.3} ms (wall, 2 cores)",
-        100.0 * (var / sq).sqrt(),
-        100.0 * (rel.iter().map(|r| r * r).sum::<f64>() / rel.len() as f64).sqrt(),
-        100.0 * rel[rel.len() / 2],
-        100.0 * rel[rel.len() * 95 / 100],
-        100.0 * rel[rel.len() - 1],
-        100.0 * claimed.sqrt(),
-        all[0].rays as f64 / all[0].samples as f64,
-        time * 1e3 / (seeds as usize * nodes.len()) as f64
-    );
-}
+/// The long bake takes so many times the directions of the longest short one.
+const LONGER: u64 = 64;
 
 fn main() {
-    let a: Vec<String> = std::env::args().skip(1).collect();
-    let scene = read_scene(Path::new(&a[0]));
-    let (probes, distant) = read_lighting(Path::new(&a[1]));
-    let truth = read_truth(Path::new(&a[1]), &["grid", "scattered"]);
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [level, folder, rest @ ..] = &arguments[..] else {
+        eprintln!("usage: calibration LEVEL.glb LIGHTING_FOLDER [SAMPLES,… [SEEDS [path]]]");
+        std::process::exit(2);
+    };
+    let samples: Vec<u64> = rest
+        .first()
+        .map_or("256,1024,4096", String::as_str)
+        .split(',')
+        .map(|s| s.parse().expect("numbers of samples"))
+        .collect();
+    let seeds: u64 = rest.get(1).map_or(32, |s| s.parse().expect("a number of seeds"));
+    let scene = read_scene(Path::new(level));
+    let (probes, distant) = read_lighting(Path::new(folder));
+    let truth = read_truth(Path::new(folder), &["grid", "scattered"]);
     let nodes = Nodes::Points(truth.iter().flat_map(|set| set.positions.iter().map(|p| DVec3::from(*p))).collect());
-    for s in a[2].split(',') {
-        let samples: u64 = s.parse().unwrap();
-        if a.len() > 3 {
-            let f = PathF::new(&scene, Some(&distant), PathSettings::default());
-            noise(&f, &nodes, samples, 8);
-        } else {
-            let f = Gdibl::new(&scene, &probes, Some(&distant), GdiblSettings::default());
-            noise(&f, &nodes, samples, 8);
-        }
+    println!(
+        "| directions | noise of E | median node | 95th percentile | claimed / found | 95 % intervals cover | values |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    let holds = if rest.get(2).is_some_and(|method| method == "path") {
+        let function = PathTracer::new(&scene, Some(&distant), PathSettings::default());
+        table(&function, &nodes, &samples, seeds)
+    } else {
+        let function = Gdibl::new(&scene, &probes, Some(&distant), GdiblSettings::default());
+        table(&function, &nodes, &samples, seeds)
+    };
+    std::process::exit(i32::from(!holds));
+}
+
+fn table(function: &impl RadianceFunction, nodes: &Nodes, samples: &[u64], seeds: u64) -> bool {
+    let settings = BakeSettings { coefficient_errors: true, ..BakeSettings::default() };
+    let longest = samples.iter().max().expect("a number of samples") * LONGER;
+    let converged = bake_all(function, nodes, &BakeSettings { samples: longest, seed: u64::MAX, ..settings.clone() });
+    let mut holds = true;
+    for &samples in samples {
+        let bake = |seed| bake_all(function, nodes, &BakeSettings { samples, seed, ..settings.clone() });
+        let bakes: Vec<_> = (0..seeds).map(bake).collect();
+        let Calibration { noise, node_noise, claimed_over_found, covered, values } = calibrate(&converged, &bakes);
+        holds &= (0.92..=0.98).contains(&covered);
+        println!(
+            "| {samples} | {:.2} % | {:.2} % | {:.2} % | {claimed_over_found:.3} | {:.1} % | {values} |",
+            noise * 100.0,
+            node_noise.median * 100.0,
+            node_noise.p95 * 100.0,
+            covered * 100.0,
+        );
     }
-    let _ = RadianceSh { bands: 0, coefficients: [[0.0; 3]; sh::MAX_COEFFICIENTS] };
+    holds
 }

@@ -87,6 +87,9 @@ pub struct QualityFlags {
     /// Compress the file's sections with zstd; readers need a decoder then
     #[arg(long, num_args = 0, default_missing_value = "true")]
     pub zstd: Option<bool>,
+    /// Store the standard error of every coefficient and of the worst direction, per node
+    #[arg(long, num_args = 0, default_missing_value = "true")]
+    pub coefficient_errors: Option<bool>,
     /// Scale down bands 1 and up of nodes whose irradiance turns negative for some normal, by as little as ends that
     #[arg(long, num_args = 0, default_missing_value = "true")]
     pub dering: Option<bool>,
@@ -457,6 +460,7 @@ impl QualityFlags {
             sh: self.sh.or(file.sh),
             precision: self.precision.or(file.precision),
             zstd: self.zstd.or(file.zstd),
+            coefficient_errors: self.coefficient_errors.or(file.coefficient_errors),
             dering: self.dering.or(file.dering),
             blend: self.blend.or(file.blend),
             repair_pixels: self.repair_pixels.or(file.repair_pixels),

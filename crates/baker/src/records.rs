@@ -62,6 +62,8 @@ pub struct StatisticsRecord {
     pub samples: u64,
     /// Relative standard error of E over valid nodes; `None` where it was not measured (one sample).
     pub relative_error: Option<ErrorSummary>,
+    /// The same in the worst direction and channel of each node.
+    pub worst_direction_error: Option<ErrorSummary>,
     /// Mean share of the sphere that was covered, over all nodes.
     pub coverage: f64,
     /// What de-ringing did; `None` where it was not asked for, or no node rings.

@@ -74,7 +74,7 @@ pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSe
         Header { kind, counts, bands: baked.bands, encoding: numbers.encoding, scale: numbers.scale, units, min, max };
 
     // Sections in the order in which a reader wants them. What the level does not need is not there.
-    let mut sections = vec![(format::RADIANCE, planes(baked, &windows, numbers))];
+    let mut sections = vec![(format::RADIANCE, planes(&baked.sh, &windows, baked.valid.len(), numbers))];
     if baked.valid.iter().any(|v| !v) {
         sections.push((format::VALIDITY, baked.valid.iter().map(|&v| u8::from(v)).collect()));
     }
@@ -94,6 +94,10 @@ pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSe
     }
     if baked.relative_error.iter().all(|e| e.is_finite()) {
         sections.push((format::STANDARD_ERROR, halves(&baked.relative_error)));
+    }
+    if !baked.coefficient_error.is_empty() && baked.coefficient_error.iter().all(|e| e.is_finite()) {
+        sections.push((format::WORST_ERROR, halves(&baked.worst_error)));
+        sections.push((format::COEFFICIENT_ERRORS, planes(&baked.coefficient_error, &[], baked.valid.len(), numbers)));
     }
     sections.push((format::SETTINGS, records::encode(&records.settings)));
     sections.push((format::PLAN, records::encode(&records.plan)));
@@ -193,19 +197,20 @@ fn compressed(header: &Header, id: [u8; 4], raw: Vec<u8>) -> (Codec, Filter, Vec
 }
 
 /// Coefficients, one plane per coefficient and channel. The first three planes are band 0, which no window changes.
-fn planes(baked: &Baked, windows: &[Option<f32>], numbers: Numbers) -> Vec<u8> {
-    let stride = baked.sh.len() / baked.valid.len().max(1);
+fn planes(values: &[f32], windows: &[Option<f32>], nodes: usize, numbers: Numbers) -> Vec<u8> {
+    let stride = values.len() / nodes.max(1);
     let weight = |plane: usize, node: usize| windows.get(node).copied().flatten().filter(|_| plane >= 3);
     let value = |plane: usize, node: usize| {
-        let value = baked.sh[node * stride + plane];
+        let value = values[node * stride + plane];
         weight(plane, node).map_or(value, |weight| value * weight)
     };
-    let places = (0..stride).flat_map(|plane| (0..baked.valid.len()).map(move |node| (plane, node)));
+    let places = (0..stride).flat_map(|plane| (0..nodes).map(move |node| (plane, node)));
     match numbers.encoding {
         Encoding::F32 => floats(places.map(|(plane, node)| value(plane, node))),
         Encoding::F16 => {
             let inverse = 1.0 / numbers.scale;
-            places.flat_map(|(plane, node)| f16::from_f32(value(plane, node) * inverse).to_le_bytes()).collect()
+            let half = |value: f32| f16::from_f32(value.min(f16::MAX.to_f32()));
+            places.flat_map(|(plane, node)| half(value(plane, node) * inverse).to_le_bytes()).collect()
         }
     }
 }

@@ -58,6 +58,7 @@ struct Report<'a> {
     cpu_seconds: f64,
     sh: String,
     relative_error: Option<ErrorSummary>,
+    worst_direction_error: Option<ErrorSummary>,
     coverage: f64,
     deringing: Option<DeringingRecord>,
     sun: Option<SunRecord>,
@@ -147,6 +148,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
         sh: format!("L{}", baked.bands),
         relative_error: records.statistics.relative_error,
+        worst_direction_error: records.statistics.worst_direction_error,
         coverage: records.statistics.coverage,
         deringing: records.statistics.deringing,
         sun: records.statistics.sun,
@@ -243,6 +245,7 @@ pub fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
         seed: quality.seed.unwrap_or(defaults.seed),
         sampler: quality.sampler.unwrap_or(defaults.sampler),
         importance: true,
+        coefficient_errors: quality.coefficient_errors.unwrap_or(false),
         punctual: quality.punctual == Some(Punctual::Include),
         clamp: clamp(quality)?,
     })
@@ -311,13 +314,17 @@ fn probe_records(inputs: &Inputs) -> Vec<ProbeRecord> {
 }
 
 fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
-    let valid = || baked.valid.iter().zip(&baked.relative_error).filter(|(valid, _)| **valid);
+    let errors = |all: &[f32]| {
+        let valid = baked.valid.iter().zip(all).filter(|(valid, _)| **valid);
+        ErrorSummary::of(valid.map(|(_, error)| f64::from(*error)))
+    };
     StatisticsRecord {
         nodes: baked.valid.len() as u64,
-        nodes_valid: valid().count() as u64,
+        nodes_valid: baked.valid.iter().filter(|valid| **valid).count() as u64,
         rays: baked.rays,
         samples: baked.samples,
-        relative_error: ErrorSummary::of(valid().map(|(_, error)| f64::from(*error))),
+        relative_error: errors(&baked.relative_error),
+        worst_direction_error: errors(&baked.worst_error),
         coverage: baked.coverage.iter().map(|c| f64::from(*c)).sum::<f64>() / baked.coverage.len() as f64,
         deringing: None,
         sun: None,

@@ -171,6 +171,11 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
         if let Some(deringing) = &statistics.deringing {
             row("de-ringed", super::deringing_text(deringing));
         }
+        if let Some(e) = &statistics.worst_direction_error {
+            let [median, p95, max] = [e.median, e.p95, e.max].map(|e| e * 100.0);
+            let text = format!("{median:.2} % median, {p95:.2} % 95th percentile, {max:.2} % worst");
+            row("direction", format!("{text} (the same in the worst direction and channel)"));
+        }
         row("work", format!("{rays:.1} M rays for {samples:.1} M directions"));
         for finding in &statistics.findings {
             row("finding", format!("{} ({}): {}", finding.id, finding.count, finding.message));

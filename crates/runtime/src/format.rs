@@ -42,6 +42,10 @@ pub const VALIDITY: [u8; 4] = *b"VALD";
 pub const COVERAGE: [u8; 4] = *b"COVR";
 /// Relative standard error, f16 per node. Absent: not measured.
 pub const STANDARD_ERROR: [u8; 4] = *b"SERR";
+/// The same in the worst direction and channel, f16 per node.
+pub const WORST_ERROR: [u8; 4] = *b"WERR";
+/// Standard errors of coefficients, in the numbers and the order of [`RADIANCE`].
+pub const COEFFICIENT_ERRORS: [u8; 4] = *b"CERR";
 /// Positions, three f32 per node, relative to the header's min. Points and vertices only.
 pub const POSITIONS: [u8; 4] = *b"POSN";
 /// Unit normals, three f32 per node. Vertices only.
@@ -167,12 +171,12 @@ impl Header {
         3 * coefficient_count(self.bands)
     }
 
-    /// Bytes of one element of a known section of numbers, which is what a byte shuffle shuffles: `RSH ` 2 or 4 by
-    /// encoding; `COVR`, `SERR` 2; `POSN`, `NORM`, `MESH` 4. None for other sections: they are never shuffled.
+    /// Bytes of one element of a known section of numbers, which is what a byte shuffle shuffles: `RSH ` and `CERR`
+    /// 2 or 4 by encoding; `COVR`, `SERR`, `WERR` 2; `POSN`, `NORM`, `MESH` 4. None for other sections: they are never shuffled.
     pub fn element_size(&self, id: [u8; 4]) -> Option<usize> {
         match (id, self.encoding) {
-            (RADIANCE, Encoding::F16) | (COVERAGE | STANDARD_ERROR, _) => Some(2),
-            (RADIANCE, Encoding::F32) | (POSITIONS | NORMALS | MESHES, _) => Some(4),
+            (RADIANCE | COEFFICIENT_ERRORS, Encoding::F16) | (COVERAGE | STANDARD_ERROR | WORST_ERROR, _) => Some(2),
+            (RADIANCE | COEFFICIENT_ERRORS, Encoding::F32) | (POSITIONS | NORMALS | MESHES, _) => Some(4),
             _ => None,
         }
     }
@@ -181,9 +185,9 @@ impl Header {
     pub fn raw_size(&self, id: [u8; 4]) -> Option<u64> {
         let nodes = self.node_count() as u64;
         let bytes_per_node = match id {
-            RADIANCE => self.values_per_node() as u64 * self.element_size(id)? as u64,
+            RADIANCE | COEFFICIENT_ERRORS => self.values_per_node() as u64 * self.element_size(id)? as u64,
             VALIDITY => 1,
-            COVERAGE | STANDARD_ERROR => 2,
+            COVERAGE | STANDARD_ERROR | WORST_ERROR => 2,
             POSITIONS | NORMALS => 12,
             _ => return None,
         };

@@ -372,6 +372,8 @@ mod tests {
             valid: vec![true; count],
             coverage: vec![1.0; count],
             relative_error: vec![relative_error; count],
+            worst_error: vec![relative_error; count],
+            coefficient_error: Vec::new(),
             rays: 0,
             samples: 0,
             missed: 0,

@@ -1,5 +1,6 @@
 //! What is in a volume, and how wrong it is.
 
+mod calibration;
 mod compare;
 mod energy;
 mod error;
@@ -8,6 +9,7 @@ pub mod study;
 mod summary;
 mod truth;
 
+pub use calibration::{Calibration, calibrate};
 pub use compare::{
     Answer, BandsCompared, CompareSettings, Comparison, NoiseUnknown, NothingCompared, Places, SetComparison,
     WorstPlace, compare,

@@ -28,6 +28,9 @@ use crate::sampling::{Sampler, Stream, fibonacci_sphere, uniform_sphere};
 /// at 1024 directions 16, 8, 4 and 2 gave noise of 4.3, 3.9, 3.3 and 3.1 % (before outlooks). With 4 the standard error of one value has 3
 /// degrees of freedom; that of a node, over all its coefficients, is known to about 20 %.
 pub const REPLICATES: u32 = 4;
+/// 95 % of what is estimated lie within so many of its standard errors: Student's t with one degree of freedom less than
+/// there are replicates.
+pub const INTERVAL_95: f64 = 3.182;
 /// Directions in which `relative_error` looks at E.
 const ERROR_DIRECTIONS: usize = 26;
 /// Uniform directions of each replicate that go first. 64: with 8 nodes 2048 rays, four to a tile.

@@ -15,6 +15,7 @@ use std::sync::Mutex;
 
 pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
+pub use integrate::INTERVAL_95;
 use integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
 
@@ -37,6 +38,8 @@ pub struct BakeSettings {
     pub sampler: Sampler,
     /// Directions also go toward what is bright. Without, all are uniform: a baseline for studies.
     pub importance: bool,
+    /// Keeps the standard error of every coefficient.
+    pub coefficient_errors: bool,
     /// Adds the direct light of punctual lights, of which radiance functions tell nothing.
     pub punctual: bool,
     /// Most that a channel of a sample's radiance may be; infinity leaves all light as it is.
@@ -52,6 +55,7 @@ impl Default for BakeSettings {
             seed: 0,
             sampler: Sampler::Sobol,
             importance: true,
+            coefficient_errors: false,
             punctual: false,
             clamp: f32::INFINITY,
         }
@@ -79,6 +83,10 @@ pub struct Baked {
     /// Standard error of E over the larger of the node's RMS of E and a tenth of the volume's median; 0 for
     /// invalid nodes, infinite where one sample gave none.
     pub relative_error: Vec<f32>,
+    /// The same with the standard error of E in the worst direction and channel.
+    pub worst_error: Vec<f32>,
+    /// One standard error of each coefficient, as `sh`; empty unless asked for. 0 for invalid nodes.
+    pub coefficient_error: Vec<f32>,
     /// Rays traced, lines of sight included.
     pub rays: u64,
     /// Directions that left nodes.
@@ -100,6 +108,7 @@ impl Baked {
 /// Bytes that a bake of `nodes` nodes takes at its peak: coefficients, figures, and the packed file beside them.
 pub fn memory_needed(nodes: u64, settings: &BakeSettings) -> u64 {
     let coefficients = 3 * sh::coefficient_count(settings.bands) as u64;
+    let coefficients = coefficients * if settings.coefficient_errors { 2 } else { 1 };
     let per_node = coefficients * 4 + size_of::<Summary>() as u64 + 24 + 2 * (coefficients * 4 + 24);
     nodes.saturating_mul(per_node)
 }
@@ -133,11 +142,19 @@ pub fn bake(
         _ => settings.samples,
     };
     let baked = sample_nodes(nodes, function, settings, control, enough)?;
-    let Sampled { sh, estimates, rays, samples } = baked;
+    let Sampled { sh, mut coefficient_error, estimates, rays, samples } = baked;
     let median = median.unwrap_or_else(|| median_irradiance(&estimates));
     let valid: Vec<bool> = estimates.iter().map(|e| e.is_valid(median)).collect();
-    let relative = |e: &Summary| if e.is_valid(median) { e.relative_error(median) as f32 } else { 0.0 };
-    let relative_error: Vec<f32> = estimates.iter().map(relative).collect();
+    let errors = |own: fn(&Summary) -> f64| -> Vec<f32> {
+        let relative = |e: &Summary| if e.is_valid(median) { e.relative(own(e), median) as f32 } else { 0.0 };
+        estimates.iter().map(relative).collect()
+    };
+    let relative_error = errors(|e| e.standard_error);
+    let worst_error = errors(|e| e.worst_error);
+    let stride = 3 * sh::coefficient_count(settings.bands);
+    for (errors, _) in coefficient_error.chunks_exact_mut(stride).zip(&valid).filter(|(_, valid)| !**valid) {
+        errors.fill(0.0);
+    }
     let target = settings.target_error.unwrap_or(f64::INFINITY) as f32;
     let total = |of: fn(&Summary) -> f64| estimates.iter().filter(|e| e.is_valid(median)).map(of).sum::<f64>();
     let (clamped, kept) = (total(|e| e.clamped), total(|e| e.kept));
@@ -147,6 +164,8 @@ pub fn bake(
         coverage: estimates.iter().map(|e| e.coverage as f32).collect(),
         missed: relative_error.iter().filter(|e| **e > target).count() as u64,
         relative_error,
+        worst_error,
+        coefficient_error,
         valid,
         rays,
         samples,
@@ -172,6 +191,7 @@ fn pilot(
 #[derive(Debug, Clone, Copy, Default)]
 struct Summary {
     standard_error: f64,
+    worst_error: f64,
     rms_irradiance: f64,
     coverage: f64,
     backs: f64,
@@ -189,21 +209,23 @@ impl Summary {
         self.coverage > 0.0 && !(self.backs > SOLID_BACKS && self.rms_irradiance <= NEXT_TO_NONE * median)
     }
 
-    fn relative_error(&self, median: f64) -> f64 {
+    /// An error of E over the larger of the node's own RMS of E and a tenth of the median.
+    fn relative(&self, error: f64, median: f64) -> f64 {
         let floor = self.rms_irradiance.max(0.1 * median);
         // All black: nothing is wrong with it.
-        if self.standard_error == 0.0 { 0.0 } else { self.standard_error / floor }
+        if error == 0.0 { 0.0 } else { error / floor }
     }
 }
 
 fn relative_error(estimate: &NodeEstimate, median: f64) -> f64 {
-    Summary::from(estimate).relative_error(median)
+    Summary::from(estimate).relative(estimate.standard_error, median)
 }
 
 impl From<&NodeEstimate> for Summary {
     fn from(e: &NodeEstimate) -> Self {
         Summary {
             standard_error: e.standard_error,
+            worst_error: e.worst_error,
             rms_irradiance: e.rms_irradiance,
             coverage: e.coverage,
             backs: e.backs,
@@ -225,6 +247,8 @@ fn median_irradiance(estimates: &[Summary]) -> f64 {
 
 struct Sampled {
     sh: Vec<f32>,
+    /// Empty unless asked for.
+    coefficient_error: Vec<f32>,
     estimates: Vec<Summary>,
     rays: u64,
     samples: u64,
@@ -240,6 +264,7 @@ fn sample_nodes(
     let stride = 3 * sh::coefficient_count(settings.bands);
     let sampled = Sampled {
         sh: vec![0.0f32; stride * nodes.len()],
+        coefficient_error: vec![0.0; if settings.coefficient_errors { stride * nodes.len() } else { 0 }],
         estimates: vec![Summary::default(); nodes.len()],
         rays: 0,
         samples: 0,
@@ -272,9 +297,10 @@ fn sample_nodes(
             let mut sampled = sampled.lock().expect("no worker panics");
             for (&index, estimate) in neighbours.iter().zip(&estimates) {
                 let index = index as usize;
-                let out = &mut sampled.sh[index * stride..(index + 1) * stride];
-                for (value, sum) in out.chunks_exact_mut(3).zip(&estimate.sh) {
-                    value.copy_from_slice(&sum.map(|s| s as f32));
+                let own = index * stride..(index + 1) * stride;
+                store(&mut sampled.sh[own.clone()], &estimate.sh);
+                if settings.coefficient_errors {
+                    store(&mut sampled.coefficient_error[own], &estimate.coefficient_error);
                 }
                 sampled.estimates[index] = Summary::from(estimate);
                 sampled.samples += estimate.samples;
@@ -286,6 +312,12 @@ fn sample_nodes(
         },
     )?;
     Ok(sampled.into_inner().expect("no worker panicked"))
+}
+
+fn store(out: &mut [f32], moments: &Moments) {
+    for (value, sum) in out.chunks_exact_mut(3).zip(moments) {
+        value.copy_from_slice(&sum.map(|s| s as f32));
+    }
 }
 
 const NO_LIGHT: Moments = [[0.0; 3]; sh::MAX_COEFFICIENTS];

@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 
 use crate::level::*;
+use gdibl_baker::records::Records;
 
 fn sun(toward: Vec3, irradiance: f32) -> PunctualLight {
     PunctualLight {
@@ -39,7 +40,7 @@ fn baked_of(scene: &Scene, bands: u32, points: &[DVec3]) -> gdibl_baker::bake::B
 
 fn volume_of(baked: &gdibl_baker::bake::Baked, points: &[DVec3], precision: Precision, dering: bool) -> Volume {
     let settings = PackSettings { precision, dering, ..PackSettings::default() };
-    let packed = pack(&Nodes::Points(points.to_vec()), baked, records(), settings);
+    let packed = pack(&Nodes::Points(points.to_vec()), baked, Records::default(), settings);
     Volume::parse(&packed.bytes).expect("what was packed parses")
 }
 
@@ -114,7 +115,7 @@ fn where_no_node_rings_deringing_leaves_the_light_and_its_tag() {
     let points = [DVec3::ZERO];
     let baked = baked_of(&Scene::default(), 4, &points);
     let settings = PackSettings { dering: true, ..PackSettings::default() };
-    let packed = pack(&Nodes::Points(points.to_vec()), &baked, records(), settings);
+    let packed = pack(&Nodes::Points(points.to_vec()), &baked, Records::default(), settings);
     assert_eq!(packed.records.statistics.deringing, None);
     let row = packed.records.plan.last().unwrap();
     assert_eq!((row.stage.as_str(), row.kept, row.why.as_str()), ("deringing", false, "no node rings"));

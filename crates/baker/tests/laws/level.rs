@@ -6,7 +6,7 @@ use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::panorama::Panorama;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::radiance::{Distant, RadianceFunction};
-use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
+use gdibl_baker::records::Records;
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
 use gdibl_baker::volume::{PackSettings, Precision, pack};
 use gdibl_runtime::{RadianceSh, Volume};
@@ -109,36 +109,9 @@ pub fn volume_of(nodes: &Nodes, function: &Gdibl, settings: &BakeSettings) -> Vo
     let control = Control { cancel: &cancel, progress: &|_, _| {} };
     let baked = bake(nodes, function, settings, &control).expect("nobody interrupts");
     let bytes =
-        pack(nodes, &baked, records(), PackSettings { precision: Precision::F32, ..PackSettings::default() }).bytes;
+        pack(nodes, &baked, Records::default(), PackSettings { precision: Precision::F32, ..PackSettings::default() })
+            .bytes;
     Volume::parse(&bytes).expect("what was packed parses")
-}
-
-/// Records that say nothing.
-pub fn records() -> Records {
-    let none = String::new;
-    let settings = SettingsRecord {
-        writer: none(),
-        level: none(),
-        method: none(),
-        blend: none(),
-        scene: none(),
-        sampler: none(),
-        samples: 0,
-        target_error: None,
-        seed: 0,
-    };
-    let statistics = StatisticsRecord {
-        nodes: 0,
-        nodes_valid: 0,
-        rays: 0,
-        samples: 0,
-        relative_error: None,
-        coverage: 0.0,
-        deringing: None,
-        sun: None,
-        findings: Vec::new(),
-    };
-    Records { settings, plan: Vec::new(), probes: Vec::new(), statistics }
 }
 
 /// Coefficients of a node.
@@ -166,6 +139,7 @@ pub const SMALL: BakeSettings = BakeSettings {
     seed: 3,
     sampler: gdibl_baker::sampling::Sampler::Sobol,
     importance: true,
+    coefficient_errors: false,
     punctual: false,
     clamp: f32::INFINITY,
 };

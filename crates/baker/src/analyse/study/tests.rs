@@ -52,6 +52,8 @@ fn volume(light: &[RadianceSh]) -> Volume {
         valid: vec![true; PLACES],
         coverage: vec![1.0; PLACES],
         relative_error: vec![0.01; PLACES],
+        worst_error: Vec::new(),
+        coefficient_error: Vec::new(),
         rays: 0,
         samples: 0,
         missed: 0,

@@ -366,6 +366,7 @@ pub fn gdibl_settings(quality: &QualityFlags, captured: bool) -> GdiblSettings {
         blend: quality.blend.unwrap_or(defaults.blend),
         scene_hit: quality.scene.unwrap_or(defaults.scene_hit),
         emission_from_materials: captured,
+        walks: quality.samples.map_or(defaults.walks, GdiblSettings::walks_beside),
         seed: quality.seed.unwrap_or(defaults.seed),
     }
 }

@@ -68,10 +68,10 @@ pub struct Ladder<'a> {
 
 impl Runner<'_> {
     /// The probes' function.
-    pub fn gdibl(&self, method: Method, seed: u64) -> Gdibl<'_> {
+    pub fn gdibl(&self, method: Method, samples: u64, seed: u64) -> Gdibl<'_> {
         let own = gdibl_settings(&self.config.quality, self.inputs.captured);
         let blend = if let Method::Blend(rule) = method { rule } else { own.blend };
-        let settings = GdiblSettings { blend, seed, ..own };
+        let settings = GdiblSettings { blend, seed, walks: GdiblSettings::walks_beside(samples), ..own };
         Gdibl::new(&self.inputs.scene, &self.inputs.probes, self.inputs.distant.as_ref(), settings)
     }
 
@@ -83,7 +83,7 @@ impl Runner<'_> {
     /// What decides which methods tell something.
     pub fn circumstances(&self) -> Result<Circumstances, Fault> {
         let bright = |guide: &gdibl_baker::radiance::Guide| guide.to_sky() || guide.emitter_count() > 0;
-        let gdibl = self.gdibl(Method::Gdibl, 0);
+        let gdibl = self.gdibl(Method::Gdibl, 1, 0);
         Ok(Circumstances {
             probes: self.inputs.probes.len(),
             blend: gdibl.blend_rule(),
@@ -136,7 +136,7 @@ impl Runner<'_> {
             let path = self.path()?;
             return self.timed(&path, &settings, clock.cpu_seconds(), progress);
         }
-        let gdibl = self.gdibl(method, seed);
+        let gdibl = self.gdibl(method, settings.samples, seed);
         self.timed(&gdibl, &settings, clock.cpu_seconds(), progress)
     }
 

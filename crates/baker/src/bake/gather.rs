@@ -90,6 +90,7 @@ fn gather(
     for replicate in 0..replicates {
         let stream = Stream::new(settings.sampler, settings.seed, streams::SURFACES | index, replicate);
         let mut context = PathContext::new(stream);
+        context.replicate = Some(replicate);
         let mut sum = Sums::default();
         for sample in 0..share(settings.samples, replicates, replicate) {
             if control.cancelled() {

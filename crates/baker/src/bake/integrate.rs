@@ -227,6 +227,7 @@ impl Integrator {
             let own = share(samples, replicates, replicate);
             let uniform = quota(UNIFORM_SHARE, own, place.sequence.rounding(replicate));
             course.context.stream = place.sequence.stream(replicate, Technique::Uniform);
+            course.context.replicate = Some(replicate);
             for sample in 0..uniform.min(GLANCES) {
                 course.context.sample = sample;
                 let direction = uniform_sphere(course.context.point(0));
@@ -282,6 +283,7 @@ impl Integrator {
     ) -> Result<(), Interrupted> {
         let rounding = place.sequence.rounding(replicate);
         let [from, to] = range.map(|samples| quotas(outlook.shares(), samples, rounding));
+        course.context.replicate = Some(replicate);
         for technique in Technique::ALL {
             course.context.stream = place.sequence.stream(replicate, technique);
             for sample in from[technique as usize]..to[technique as usize] {

@@ -12,21 +12,21 @@ use crate::trace::{Hit, Surfaces};
 
 /// Edge of a texel as a share of the level's size. Shadows of furniture are wider than a thirtieth of a room.
 const TEXEL: f32 = 1.0 / 32.0;
-/// Walks of a texel of full size; smaller ones have fewer, by area, because more of them share in a node's light. A
-/// node sees hundreds of texels, so their noise averages out; 512 walks made the test of the laws 30 times slower.
-const WALKS: f32 = 64.0;
-/// Fewest walks of a texel.
-const FEWEST_WALKS: u32 = 4;
+/// A texel's walks come in so many parts, one for each replicate of a node (see `bake`): what all its replicates had in
+/// common would not show in their spread. Nodes on the walls of the box with spheres claimed 0.6 % and were off by 7.7 %.
+pub const PARTS: u32 = 4;
 /// Most subdivisions of a triangle's edge.
-const MOST_PARTS: u32 = 64;
+const MOST_CUTS: u32 = 64;
 
 /// Texels of one side of a triangle, made when it is first hit, each filled when it is first hit.
-type Side = OnceLock<Box<[OnceLock<Vec3>]>>;
+type Side = OnceLock<Box<[OnceLock<[Vec3; PARTS as usize]>]>>;
 
 /// Effects per side of every environment triangle.
 #[derive(Debug)]
 pub struct EffectCache {
     edge: f32,
+    /// Of a texel of full size; smaller ones have fewer, by area, because more of them share in a node's light.
+    walks: u32,
     sides: Vec<[Side; 2]>,
 }
 
@@ -35,51 +35,62 @@ pub struct EffectCache {
 pub struct Texel {
     /// Its number within the triangle.
     pub index: u32,
-    /// Random walks that make its mean.
+    /// Random walks of each of its [`PARTS`].
     pub walks: u32,
-    parts: u32,
+    cuts: u32,
 }
 
 impl EffectCache {
-    /// Empty texels for all triangles of `environment`.
-    pub fn new(environment: &Surfaces) -> EffectCache {
+    /// Empty texels for all triangles of `environment`; one of full size will take `walks` random walks.
+    pub fn new(environment: &Surfaces, walks: u32) -> EffectCache {
         let all = || (0..environment.len() as u32).flat_map(|t| environment.corners(t));
         let (min, max) = all().fold((Vec3::MAX, Vec3::MIN), |(min, max), c| (min.min(*c), max.max(*c)));
         let sides = (0..environment.len()).map(|_| Default::default()).collect();
-        EffectCache { edge: (max - min).max_element() * TEXEL, sides }
+        EffectCache { edge: (max - min).max_element() * TEXEL, walks, sides }
     }
 
-    /// The effect at `hit`; `fill` is called for the first query of each texel.
-    pub fn lookup(&self, environment: &Surfaces, hit: &Hit, fill: impl FnOnce(Texel) -> Vec3) -> Vec3 {
+    /// The effect at `hit`, by the walks for one replicate or, with `None`, by all; `fill` is called for the first query of
+    /// each texel.
+    pub fn lookup(
+        &self,
+        environment: &Surfaces,
+        hit: &Hit,
+        replicate: Option<u32>,
+        fill: impl FnOnce(Texel) -> [Vec3; PARTS as usize],
+    ) -> Vec3 {
         let [a, b, c] = *environment.corners(hit.triangle);
         let longest = (b - a).length().max((c - b).length()).max((a - c).length());
-        let parts = ((longest / self.edge).ceil() as u32).clamp(1, MOST_PARTS);
+        let cuts = ((longest / self.edge).ceil() as u32).clamp(1, MOST_CUTS);
         let side = &self.sides[hit.triangle as usize][usize::from(hit.back)];
-        let texels = side.get_or_init(|| (0..2 * parts * parts).map(|_| OnceLock::new()).collect());
-        let index = texel_at(hit.barycentric, parts);
-        *texels[index as usize].get_or_init(|| {
-            let area = 0.5 * (b - a).cross(c - a).length() / (parts * parts) as f32;
-            let walks = (WALKS * area / (0.5 * self.edge * self.edge)) as u32;
-            fill(Texel { index, walks: walks.clamp(FEWEST_WALKS, WALKS as u32), parts })
-        })
+        let texels = side.get_or_init(|| (0..2 * cuts * cuts).map(|_| OnceLock::new()).collect());
+        let index = texel_at(hit.barycentric, cuts);
+        let parts = texels[index as usize].get_or_init(|| {
+            let area = 0.5 * (b - a).cross(c - a).length() / (cuts * cuts) as f32;
+            let walks = (self.walks as f32 * area / (0.5 * self.edge * self.edge)) as u32;
+            fill(Texel { index, walks: (walks.min(self.walks) / PARTS).max(1), cuts })
+        });
+        match replicate {
+            Some(replicate) => parts[(replicate % PARTS) as usize],
+            None => parts.iter().sum::<Vec3>() / PARTS as f32,
+        }
     }
 }
 
-/// The triangle is cut into `parts`² like ones. In column i of row j the texel that stands like the triangle has
-/// number 2(j·parts + i), the one upside down the next.
+/// The triangle is cut into `cuts`² like ones. In column i of row j the texel that stands like the triangle has
+/// number 2(j·cuts + i), the one upside down the next.
 ///
 /// ```text
 ///   w │\
-///     │_\        parts = 2
+///     │_\        cuts = 2
 ///     │\ |\
 ///     │_\|_\ v
 /// ```
-fn texel_at(barycentric: Vec2, parts: u32) -> u32 {
-    let last = parts - 1;
-    let scaled = barycentric.clamp(Vec2::ZERO, Vec2::ONE) * parts as f32;
+fn texel_at(barycentric: Vec2, cuts: u32) -> u32 {
+    let last = cuts - 1;
+    let scaled = barycentric.clamp(Vec2::ZERO, Vec2::ONE) * cuts as f32;
     let (i, j) = ((scaled.x as u32).min(last), (scaled.y as u32).min(last));
     let inverted = scaled.x - i as f32 + scaled.y - j as f32 > 1.0 && i + j < last;
-    2 * (j * parts + i) + u32::from(inverted)
+    2 * (j * cuts + i) + u32::from(inverted)
 }
 
 impl Texel {
@@ -94,7 +105,7 @@ impl Texel {
             local = Vec2::ONE - local;
         }
         let cell = self.index / 2;
-        (Vec2::new((cell % self.parts) as f32, (cell / self.parts) as f32) + local) / self.parts as f32
+        (Vec2::new((cell % self.cuts) as f32, (cell / self.cuts) as f32) + local) / self.cuts as f32
     }
 }
 
@@ -106,21 +117,21 @@ mod tests {
     #[test]
     fn places_of_a_texel_lie_in_it() {
         let stream = Stream::new(Sampler::Sobol, 0, 0, 0);
-        for parts in [1, 2, 3, 7, 64] {
+        for cuts in [1, 2, 3, 7, 64] {
             let mut seen = std::collections::BTreeSet::new();
             for sample in 0..20_000 {
                 let [a, b] = stream.point(sample, 0);
                 let (v, w) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
-                let index = texel_at(Vec2::new(v, w), parts);
+                let index = texel_at(Vec2::new(v, w), cuts);
                 seen.insert(index);
-                let texel = Texel { index, walks: 1, parts };
+                let texel = Texel { index, walks: 1, cuts };
                 let place = texel.place(stream.point(sample, 1));
                 assert!(place.x >= 0.0 && place.y >= 0.0 && place.x + place.y <= 1.0 + 1e-5, "{place}");
                 // Rounding may carry a place onto the border.
                 let inward = place.lerp(texel.place([1.0 / 3.0, 1.0 / 3.0]), 1e-3);
-                assert_eq!(texel_at(inward, parts), index, "{place} of {parts}");
+                assert_eq!(texel_at(inward, cuts), index, "{place} of {cuts}");
             }
-            assert_eq!(seen.len() as u32, parts * parts, "parts² texels cover the triangle");
+            assert_eq!(seen.len() as u32, cuts * cuts, "cuts² texels cover the triangle");
         }
     }
 }

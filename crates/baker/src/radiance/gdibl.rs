@@ -9,7 +9,7 @@ use glam::{DVec3, Mat3, Quat, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
 use super::blend::{BlendRule, NEGLIGIBLE, View};
-use super::effects::EffectCache;
+use super::effects::{EffectCache, PARTS};
 use super::guide::Guide;
 use super::punctual::Punctual;
 use super::sky::{Distant, Sky};
@@ -50,7 +50,7 @@ impl Default for SceneHit {
 }
 
 /// How the radiance function works.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GdiblSettings {
     /// How probes that see a point share it.
     pub blend: BlendRule,
@@ -59,8 +59,30 @@ pub struct GdiblSettings {
     /// The probes show reflected light alone (see [`crate::capture::CaptureSettings::emission`]): what environment
     /// surfaces send out themselves is taken from their materials, sharp and exact.
     pub emission_from_materials: bool,
+    /// Random walks that find what scene geometry does to the environment, per texel of a thirtieth of the level.
+    pub walks: u32,
     /// Of the random walks that find what scene geometry does to the environment; the bake's.
     pub seed: u64,
+}
+
+impl Default for GdiblSettings {
+    fn default() -> Self {
+        GdiblSettings {
+            blend: BlendRule::default(),
+            scene_hit: SceneHit::default(),
+            emission_from_materials: false,
+            walks: 64,
+            seed: 0,
+        }
+    }
+}
+
+impl GdiblSettings {
+    /// Walks per texel beside so many directions per node. Interior nodes see hundreds of texels, whose noise averages out;
+    /// nodes on walls see few, and more directions bring nothing without more walks.
+    pub fn walks_beside(samples: u64) -> u32 {
+        (samples / 64).clamp(64, 1024) as u32
+    }
 }
 
 /// A ray that has lost all but this share is not followed further.
@@ -154,7 +176,7 @@ impl<'a> Gdibl<'a> {
         let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame);
         let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
         let effects = match (&environment, &objects, settings.scene_hit) {
-            (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment)),
+            (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment, settings.walks)),
             _ => None,
         };
         let guide = Guide::new(scene, distant, &environment.iter().chain(&objects).collect::<Vec<_>>());
@@ -375,21 +397,26 @@ impl<'a> Gdibl<'a> {
         if walk.in_texel {
             return self.effect_of_objects(hit, walk, context);
         }
-        cache.lookup(environment, hit, |texel| {
-            // Walks from all over the texel: its mean.
+        let mut rays = 0;
+        let effect = cache.lookup(environment, hit, context.replicate, |texel| {
+            // Walks from all over the texel: their means.
             let node = streams::TEXELS | u64::from(hit.triangle) << 1 | u64::from(hit.back);
-            let stream = Stream::new(Sampler::Sobol, self.settings.seed, node, texel.index);
-            let mut own = PathContext::new(stream);
-            let mut sum = DVec3::ZERO;
-            for sample in 0..texel.walks {
-                own.sample = sample;
-                let place = texel.place(stream.point(sample, 0));
-                let start = environment.point(hit.triangle, place, hit.back);
-                sum += self.effect_of_objects(&start, Walk { in_texel: true, ..Walk::default() }, &mut own).as_dvec3();
-            }
-            context.rays += own.rays;
-            (sum / f64::from(texel.walks)).as_vec3()
-        })
+            std::array::from_fn(|part| {
+                let stream = Stream::new(Sampler::Sobol, self.settings.seed, node, texel.index * PARTS + part as u32);
+                let mut own = PathContext::new(stream);
+                let mut sum = DVec3::ZERO;
+                for sample in 0..texel.walks {
+                    own.sample = sample;
+                    let start = environment.point(hit.triangle, texel.place(stream.point(sample, 0)), hit.back);
+                    let walk = Walk { in_texel: true, ..Walk::default() };
+                    sum += self.effect_of_objects(&start, walk, &mut own).as_dvec3();
+                }
+                rays += own.rays;
+                (sum / f64::from(texel.walks)).as_vec3()
+            })
+        });
+        context.rays += rays;
+        effect
     }
 
     /// What scene geometry changes in the light of an environment point: its shadow and its reflection, which no

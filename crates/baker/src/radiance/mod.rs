@@ -83,6 +83,8 @@ pub struct PathContext {
     pub stream: Stream,
     /// Sample at hand.
     pub sample: u32,
+    /// Replicate of a node at hand; `None`: there are no others to be independent of.
+    pub replicate: Option<u32>,
     /// Every ray traced, lines of sight included.
     pub rays: u64,
     /// First hits on the back of a triangle, by its winding, single-sided or not.
@@ -95,7 +97,7 @@ pub struct PathContext {
 impl PathContext {
     /// For the given stream of points.
     pub fn new(stream: Stream) -> Self {
-        PathContext { stream, sample: 0, rays: 0, backs: 0, reach: None, scratch: Default::default() }
+        PathContext { stream, sample: 0, replicate: None, rays: 0, backs: 0, reach: None, scratch: Default::default() }
     }
 
     /// Random numbers `pair` of the sample at hand.

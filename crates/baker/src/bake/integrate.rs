@@ -192,17 +192,22 @@ impl Integrator {
             self.sums.clear(replicates as usize);
             let course = &mut courses[number];
             let (mut done, mut target) = (0, first_round);
+            let mut last: Option<NodeEstimate> = None;
             let estimate = loop {
                 for replicate in 0..replicates {
                     let range = [done, target].map(|samples| share(samples, replicates, replicate));
                     self.sample(guide, place, &outlooks[replicate as usize], replicate, range, course, &radiance)?;
                 }
                 done = target;
-                let estimate = self.estimate(place, &course.context, done);
+                let mut estimate = self.estimate(place, &course.context, done);
+                if let Some(last) = &last {
+                    estimate.temper(last);
+                }
                 target = enough(done, Some(&estimate));
                 if target <= done {
                     break estimate;
                 }
+                last = Some(estimate);
             };
             estimates.push(estimate);
         }
@@ -396,6 +401,22 @@ impl Integrator {
             coverage: if any_covered { share_covered.clamp(f64::MIN_POSITIVE, 1.0) } else { 0.0 },
             rays: context.rays,
             samples,
+        }
+    }
+}
+
+impl NodeEstimate {
+    /// Errors of a round in the light of the round before. Who stops at the first error under a target stops where it
+    /// happens to come out small: nodes of the box that stopped at 1 % claimed 0.77 % and were off by 0.92 to 0.99 %. So
+    /// half of the variance is what the last round makes expect, which is no less than in proportion to the directions.
+    fn temper(&mut self, last: &NodeEstimate) {
+        let expected = last.standard_error.powi(2) * last.samples as f64 / self.samples as f64;
+        let own = self.standard_error.powi(2);
+        if own > 0.0 && expected.is_finite() {
+            let factor = (0.5 + 0.5 * expected / own).sqrt();
+            self.standard_error *= factor;
+            self.worst_error *= factor;
+            self.coefficient_error.as_flattened_mut().iter_mut().for_each(|error| *error *= factor);
         }
     }
 }

@@ -144,3 +144,29 @@ fn intervals_cover_what_they_promise() {
         assert_eq!(found.values, 64 * 32 * 27);
     }
 }
+
+#[test]
+fn nodes_that_stop_at_a_target_are_no_further_off() {
+    // Who stops at the first small error tends to stop by luck: without a look back, the error made was 1.25 times the
+    // error claimed. Root mean squares over 256 nodes, known to about 5 %: a false alarm less than once in 1e4.
+    let (scene, probes, sky) = shipped_box(false);
+    let function = gdibl(&scene, &probes, Some(&sky));
+    let place = |i: i32| {
+        DVec3::new(-0.6 + 0.4 * f64::from(i % 4), 0.4 + 0.4 * f64::from(i / 4 % 4), f64::from(i / 16) * 0.3 - 2.2)
+    };
+    let nodes: Vec<DVec3> = (0..256).map(place).collect();
+    let converged = bake_points(&function, &nodes, &BakeSettings { samples: 1 << 15, seed: 77, ..SMALL });
+    let settings = BakeSettings { samples: 1 << 14, target_error: Some(0.03), ..SMALL };
+    let baked = bake_points(&function, &nodes, &settings);
+    assert_eq!(baked.missed, 0);
+    assert!(baked.samples < 256 << 13, "nodes stopped long before the cap");
+    let (mut made, mut claimed) = (0.0, 0.0);
+    for node in 0..nodes.len() {
+        let (error, light) = squares(&sh_of(&baked, node), &sh_of(&converged, node));
+        made += error / light / 256.0;
+        claimed += f64::from(baked.relative_error[node]).powi(2) / 256.0;
+    }
+    println!("made {:.4}, claimed {:.4}", made.sqrt(), claimed.sqrt());
+    assert!(made.sqrt() < 0.03, "{}", made.sqrt());
+    assert!((made / claimed).sqrt() < 1.2, "made {}, claimed {}", made.sqrt(), claimed.sqrt());
+}

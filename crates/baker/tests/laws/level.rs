@@ -1,16 +1,18 @@
-//! Levels made of boxes, probes made of functions, and bakes of a few points.
+//! Levels made of boxes, probes made of functions, and bakes of a few points. The extremes tool builds with them, too.
 
 use gdibl_baker::Control;
 use gdibl_baker::analyse::radiance_sh;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::panorama::Panorama;
+use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
-use gdibl_baker::radiance::{Distant, RadianceFunction};
+use gdibl_baker::radiance::{Distant, PathContext, RadianceFunction};
 use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
+use gdibl_baker::sampling::{Sampler, Stream};
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
 use gdibl_baker::volume::{PackSettings, Precision, pack};
 use gdibl_runtime::{RadianceSh, Volume};
-use glam::{DVec3, Quat, Vec3};
+use glam::{DQuat, DVec3, Quat, Vec3};
 use std::sync::atomic::AtomicBool;
 
 pub type Triangle = [DVec3; 3];
@@ -92,6 +94,67 @@ pub fn coloured_probes() -> Vec<Probe> {
     ]
 }
 
+/// The square |x|, |y| <= 20 at z = 0.
+pub fn plane() -> Scene {
+    let mut scene = Scene::default();
+    let [a, b, c, d] = [[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+    add(&mut scene, Role::Environment, &[[a, b, c], [a, c, d]]);
+    scene
+}
+
+/// A probe of one colour.
+pub fn single(position: [f64; 3], width: usize, light: [f32; 3]) -> Probe {
+    probe(position.into(), width, |_| light)
+}
+
+/// Radiance of the surface point `to` as seen from `from`.
+pub fn seen(function: &Gdibl, from: DVec3, to: DVec3) -> Vec3 {
+    let [from, to] = [from, to].map(|p| function.frame().to_trace(p));
+    let mut context = PathContext::new(Stream::new(Sampler::Random, 0, 0, 0));
+    let found = function.radiance(from, (to - from).normalize(), &mut context);
+    assert_eq!(found.coverage, 1.0);
+    found.value
+}
+
+/// Every blend rule, at the ends of its power.
+pub fn every_rule() -> Vec<BlendRule> {
+    let powers = [0.0, 1.0, 4.0, 1e3];
+    let of = |k| [BlendRule::Distance(k), BlendRule::Angular(k), BlendRule::AngularSmooth(k), BlendRule::Footprint(k)];
+    powers.into_iter().flat_map(of).chain([BlendRule::Nearest]).collect()
+}
+
+/// The whole input under x → scale · rotation · x + offset.
+pub struct Placement {
+    pub scale: f64,
+    pub rotation: DQuat,
+    pub offset: DVec3,
+}
+
+impl Placement {
+    pub fn point(&self, p: DVec3) -> DVec3 {
+        self.rotation * (p * self.scale) + self.offset
+    }
+
+    pub fn scene(&self, scene: &Scene) -> Scene {
+        let mut placed = scene.clone();
+        placed.meshes.iter_mut().flat_map(|m| &mut m.positions).for_each(|p| *p = self.point(*p));
+        placed
+    }
+
+    pub fn probes(&self, probes: &[Probe]) -> Vec<Probe> {
+        let place = |probe: &Probe| Probe {
+            position: self.point(probe.position),
+            rotation: self.rotation.as_quat() * probe.rotation,
+            ..probe.clone()
+        };
+        probes.iter().map(place).collect()
+    }
+
+    pub fn points(&self, points: &[DVec3]) -> Vec<DVec3> {
+        points.iter().map(|p| self.point(*p)).collect()
+    }
+}
+
 /// GDIBL by the defaults.
 pub fn gdibl<'a>(scene: &'a Scene, probes: &'a [Probe], distant: Option<&'a Distant>) -> Gdibl<'a> {
     Gdibl::new(scene, probes, distant, GdiblSettings::default())
@@ -164,7 +227,7 @@ pub const SMALL: BakeSettings = BakeSettings {
     samples: 512,
     target_error: None,
     seed: 3,
-    sampler: gdibl_baker::sampling::Sampler::Sobol,
+    sampler: Sampler::Sobol,
     importance: true,
     punctual: false,
     clamp: f32::INFINITY,

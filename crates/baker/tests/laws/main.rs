@@ -2,6 +2,7 @@
 
 mod blending;
 mod deringing;
+mod exact;
 mod gather;
 mod geometry;
 mod level;

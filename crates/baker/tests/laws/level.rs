@@ -8,11 +8,12 @@ use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::radiance::{Distant, PathContext, RadianceFunction};
 use gdibl_baker::records::{Records, SettingsRecord, StatisticsRecord};
-use gdibl_baker::sampling::{Sampler, Stream};
+use gdibl_baker::sampling::{Sampler, Stream, fibonacci_sphere};
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
 use gdibl_baker::volume::{PackSettings, Precision, pack};
 use gdibl_runtime::{RadianceSh, Volume};
 use glam::{DQuat, DVec3, Quat, Vec3};
+use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
 
 pub type Triangle = [DVec3; 3];
@@ -164,6 +165,31 @@ pub fn bake_points(function: &impl RadianceFunction, points: &[DVec3], settings:
     let nodes = Nodes::Points(points.to_vec());
     let cancel = AtomicBool::new(false);
     bake(&nodes, function, settings, &Control { cancel: &cancel, progress: &|_, _| {} }).expect("nobody interrupts")
+}
+
+/// Largest relative error of E = πL over nodes and 100 normals.
+pub fn furnace_error(function: &Gdibl, points: &[DVec3], settings: &BakeSettings, radiance: [f32; 3]) -> f64 {
+    let baked = bake_points(function, points, settings);
+    assert!(baked.valid.iter().all(|v| *v));
+    let mut worst = 0.0f64;
+    for node in 0..points.len() {
+        let irradiance = sh_of(&baked, node).convolve();
+        for normal in fibonacci_sphere(100) {
+            for (e, l) in irradiance.evaluate(normal.to_array()).iter().zip(radiance) {
+                worst = worst.max((f64::from(*e) / (PI * f64::from(l)) - 1.0).abs());
+            }
+        }
+    }
+    worst
+}
+
+/// [`coloured_probes`] that all show one constant radiance.
+pub fn white_probes(radiance: [f32; 3]) -> Vec<Probe> {
+    let mut probes = coloured_probes();
+    for probe in &mut probes {
+        probe.panorama.pixels_mut().fill(radiance);
+    }
+    probes
 }
 
 /// What an engine would load of a bake: packed in single floats and parsed again.

@@ -51,3 +51,41 @@ pub fn exact_sh(panorama: &Panorama, bands: u32) -> RadianceSh {
     }
     radiance_sh(bands, sums[..sh::coefficient_count(bands)].iter().map(|rgb| rgb.map(|v| v as f32)))
 }
+
+/// Coefficients at `node`, in an empty box, of what pixel (x, y) of a probe in it shows beyond the rest of its image: a tent
+/// of `radiance` over the four cells around the pixel's centre, as it lies on the walls. Midpoints of 64 × 64 parts of each
+/// cell: L Y cosθ_node / d_node² dA, where dA = d_probe² / cosθ_probe dω.
+pub fn pixel_on_walls(
+    [min, max]: [DVec3; 2],
+    probe: DVec3,
+    width: usize,
+    [x, y]: [usize; 2],
+    radiance: f64,
+    node: DVec3,
+) -> RadianceSh {
+    const PARTS: usize = 64;
+    let height = width / 2;
+    let mut sums = [0.0f64; 9];
+    for part in 0..4 * PARTS * PARTS {
+        // From -1 to 1 pixels off the centre.
+        let [dx, dy] = [part % (2 * PARTS), part / (2 * PARTS)].map(|i| (i as f64 + 0.5) / PARTS as f64 - 1.0);
+        let longitude = 2.0 * PI * (0.5 - (x as f64 + 0.5 + dx) / width as f64);
+        let latitude = PI * (0.5 - (y as f64 + 0.5 + dy) / height as f64);
+        let direction = DVec3::new(longitude.sin() * latitude.cos(), latitude.sin(), longitude.cos() * latitude.cos());
+        let solid_angle = latitude.cos() * (2.0 * PI / width as f64) * (PI / height as f64) / (PARTS * PARTS) as f64;
+        let wall = |axis: usize| {
+            let wall = if direction[axis] > 0.0 { max[axis] } else { min[axis] };
+            ((wall - probe[axis]) / direction[axis], axis)
+        };
+        let (distance, axis) =
+            [wall(0), wall(1), wall(2)].into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).expect("three");
+        let line = probe + direction * distance - node;
+        let area = solid_angle * distance * distance / direction[axis].abs();
+        let seen = area * (line[axis].abs() / line.length()) / line.length_squared();
+        let light = radiance * (1.0 - dx.abs()) * (1.0 - dy.abs()) * seen;
+        let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+        sh::basis(2, line.normalize().as_vec3().to_array(), &mut basis);
+        sums.iter_mut().zip(basis).for_each(|(sum, y)| *sum += light * f64::from(y));
+    }
+    radiance_sh(2, sums.map(|v| [v as f32; 3]))
+}

@@ -74,6 +74,15 @@ fn slivers_duplicates_and_flat_triangles_open_no_gap() {
     }
 }
 
+#[test]
+fn many_small_triangles_open_no_gap() {
+    // 330 000 of them; the extremes tool does it with 5 million.
+    let inside = places_in_lattice(8, |p| p.distance(DVec3::splat(4.0)) < 3.9);
+    let closed = Closed::new("fine sphere", &sphere_mesh(7), &inside, 1.0, 1e4);
+    assert_eq!(closed.surfaces.len(), 327_680);
+    assert_eq!(closed.escapes(200_000), 0);
+}
+
 /// Random triangles of all sizes in a cube of 200 units.
 fn soup(count: u32, seed: u64) -> Vec<[Vec3; 3]> {
     (0..count)

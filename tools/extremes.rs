@@ -94,20 +94,6 @@ fn error_of(baked: &Baked, truth: impl Fn(usize) -> RadianceSh) -> IrradianceErr
     IrradianceError::of(&(0..baked.valid.len()).map(pair).collect::<Vec<_>>())
 }
 
-/// Root mean square of E over 26 normals and RGB.
-fn strength(sh: &RadianceSh) -> f64 {
-    let irradiance = sh.convolve();
-    let squares = fibonacci_sphere(26).into_iter().flat_map(|n| irradiance.evaluate(n.to_array()));
-    (squares.map(|e| f64::from(e).powi(2)).sum::<f64>() / 78.0).sqrt()
-}
-
-/// Standard errors of E as the bake claims them: its relative errors are over a tenth of the median at least.
-fn standard_errors(baked: &Baked) -> Vec<f64> {
-    let strengths: Vec<f64> = (0..baked.valid.len()).map(|node| strength(&sh_of(baked, node))).collect();
-    let floor = 0.1 * median(strengths.clone());
-    strengths.iter().zip(&baked.relative_error).map(|(e, error)| f64::from(*error) * e.max(floor)).collect()
-}
-
 /// Largest relative error of E = πL over 100 normals.
 fn off_the_furnace(sh: &RadianceSh, radiance: [f32; 3]) -> f64 {
     let irradiance = sh.convolve();
@@ -521,11 +507,6 @@ fn sun_in_one_pixel(table: &mut Table) {
             firefly <= 1.2,
         );
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 /// The largest of a grid node over the median of its neighbours.

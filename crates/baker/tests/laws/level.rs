@@ -235,6 +235,26 @@ pub fn sh_of(baked: &Baked, node: usize) -> RadianceSh {
     radiance_sh(baked.bands, baked.node(node).chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2]]))
 }
 
+/// Root mean square of E over 26 normals and RGB.
+pub fn strength(sh: &RadianceSh) -> f64 {
+    let irradiance = sh.convolve();
+    let squares = fibonacci_sphere(26).into_iter().flat_map(|n| irradiance.evaluate(n.to_array()));
+    (squares.map(|e| f64::from(e).powi(2)).sum::<f64>() / 78.0).sqrt()
+}
+
+/// Standard errors of E as the bake claims them: its relative errors are over a tenth of the median at least.
+pub fn standard_errors(baked: &Baked) -> Vec<f64> {
+    let strengths: Vec<f64> = (0..baked.valid.len()).map(|node| strength(&sh_of(baked, node))).collect();
+    let floor = 0.1 * median(strengths.clone());
+    strengths.iter().zip(&baked.relative_error).map(|(e, error)| f64::from(*error) * e.max(floor)).collect()
+}
+
+/// The one in the middle.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
 /// Root of the mean square of all coefficients.
 pub fn rms(values: &[f32]) -> f64 {
     (values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / values.len() as f64).sqrt()

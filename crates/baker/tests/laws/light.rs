@@ -2,7 +2,7 @@
 
 use gdibl_baker::bake::BakeSettings;
 use gdibl_baker::radiance::blend::BlendRule;
-use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
+use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe, SceneHit};
 use gdibl_baker::scene::{Role, Scene};
 use glam::{DVec3, Quat, Vec3};
 use std::f64::consts::PI;

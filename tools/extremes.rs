@@ -43,7 +43,7 @@ const USUAL: BakeSettings = BakeSettings { samples: 4096, ..SMALL };
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let areas: [(&'static str, fn(&mut Table)); 7] = [
+    let areas: [(&'static str, Cases); 7] = [
         ("laws", laws),
         ("geometry", geometry),
         ("light", light),
@@ -61,6 +61,9 @@ fn main() {
     }
     std::process::exit(i32::from(table.failed > 0));
 }
+
+/// Adds the rows of an area.
+type Cases = fn(&mut Table);
 
 /// Prints its rows as they come.
 struct Table {
@@ -204,7 +207,8 @@ fn laws(table: &mut Table) {
 fn turned_ratio(here: &Baked, there: &Baked, rotation: DQuat) -> f64 {
     let turn = DMat3::from_quat(rotation).as_mat3();
     let errors = [here, there].map(standard_errors);
-    let (mut found, mut promised) = (0.0, 0.0);
+    let promised: f64 = errors.iter().flatten().map(|error| error * error).sum();
+    let mut found = 0.0;
     for node in 0..here.valid.len() {
         let (a, b) = (sh_of(here, node), sh_of(there, node));
         let (e, turned) = (a.convolve(), b.convolve());
@@ -212,7 +216,6 @@ fn turned_ratio(here: &Baked, there: &Baked, rotation: DQuat) -> f64 {
             let (e, turned) = (e.evaluate(normal.to_array()), turned.evaluate((turn * normal).to_array()));
             found += (0..3).map(|c| f64::from(e[c] - turned[c]).powi(2)).sum::<f64>() / 78.0;
         }
-        promised += errors[0][node].powi(2) + errors[1][node].powi(2);
     }
     (found / promised).sqrt()
 }
@@ -1050,13 +1053,12 @@ fn statistics(table: &mut Table) {
         }
         let (mut claimed, mut found) = (0.0, 0.0);
         for baked in &all {
-            let errors = standard_errors(baked);
-            for node in 0..points.len() {
+            for (node, error) in standard_errors(baked).into_iter().enumerate() {
                 let truth = sh_of(&mean, node);
                 let mut difference = sh_of(baked, node);
                 difference.add_scaled(&truth, -1.0);
                 found += (strength(&difference) / strength(&truth)).powi(2) * seeds as f64 / (seeds - 1) as f64;
-                claimed += (errors[node] / strength(&truth)).powi(2);
+                claimed += (error / strength(&truth)).powi(2);
             }
         }
         let count = (seeds as usize * points.len()) as f64;

@@ -146,6 +146,7 @@ fn absurd_grids_are_refused_before_memory_is_taken() {
         &inputs(),
         &[
             ("bake room.glb --probes probe.exr --counts 1600,1600,1600 --max-memory 8", 1, &["GiB", "--spacing"]),
+            ("bake room.glb --probes probe.exr --counts 500,500,400 --max-memory 8", 1, &["100000000 nodes", "GiB"]),
             ("bake room.glb --probes probe.exr --counts 10000,10000,10000", 1, &["GiB", "--spacing"]),
             ("bake room.glb --probes probe.exr --spacing 1e-30", 1, &["GiB", "--spacing"]),
             ("bake room.glb --probes probe.exr --counts 20,20,20 --max-memory 0.001", 1, &["GiB", "--max-memory"]),

@@ -96,8 +96,8 @@ pub fn plan_path(scene: &Scene, path: &Path) -> Vec<PlanRow> {
 
 fn emitters(function: &impl RadianceFunction) -> PlanRow {
     match function.guide().emitter_count() {
-        0 => PlanRow::new("emitters", false, "no emissive triangle stands out"),
-        n => PlanRow::new("emitters", true, format!("rays are sent to {n} emissive triangles too")),
+        0 => PlanRow::new("emitters", false, "no emissive triangle or spot stands out"),
+        n => PlanRow::new("emitters", true, format!("rays are sent to {n} emissive triangles and bright spots too")),
     }
 }
 

@@ -168,7 +168,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             "{} of {} nodes missed the target error of {} % within {} samples; the volume was written",
             baked.missed,
             nodes.len(),
-            target * 100.0,
+            // Rounded: 1e-6 is 0.0001 %, and not 0.00009999999999999999 %.
+            (target * 100.0) as f32,
             settings.samples
         ))),
         _ => Ok(()),

@@ -124,7 +124,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     match settings.target_error {
         Some(target) if missed > 0 => Err(Fault::Bound(format!(
             "{missed} pixels missed the target error of {} % within {} paths; the probes were written",
-            target * 100.0,
+            (target * 100.0) as f32,
             settings.samples
         ))),
         _ => Ok(()),

@@ -142,7 +142,7 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
         row("section", format!("{:<5} {:>10} bytes {}", section.id, section.stored_bytes, section.codec));
     }
     if let Some(s) = &report.settings {
-        let target = s.target_error.map_or(String::new(), |t| format!(", target error {} %", t * 100.0));
+        let target = s.target_error.map_or(String::new(), |t| format!(", target error {} %", (t * 100.0) as f32));
         row("settings", format!("{}: {} of {}", s.writer, s.method, s.level));
         row(
             "",

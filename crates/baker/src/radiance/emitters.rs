@@ -8,6 +8,7 @@
 
 use glam::{Vec2, Vec3};
 
+use super::spots::Spot;
 use crate::scene::Scene;
 use crate::trace::{Surfaces, Tree};
 
@@ -16,11 +17,14 @@ const BRIGHT: f32 = 4.0;
 /// Places along an edge where a textured triangle's emission is looked up for its mean.
 const TAPS: u32 = 8;
 
+/// A spot of a surface is no whole triangle of it.
+const NO_TRIANGLE: u32 = u32::MAX;
+
 /// A triangle that is drawn.
 #[derive(Debug, Clone, Copy)]
 struct Emitter {
     corners: [Vec3; 3],
-    /// Index into the surfaces it was found in.
+    /// Index into the surfaces it was found in; [`NO_TRIANGLE`] of a spot.
     triangle: u32,
     /// Square trace units.
     area: f32,
@@ -82,9 +86,9 @@ pub(super) struct EmitterPoint {
 }
 
 impl Emitters {
-    /// The bright triangles of `all` (several sets of surfaces of one scene); `None` if there are none. Triangle indices
-    /// are those of their own set.
-    pub fn new(scene: &Scene, all: &[&Surfaces]) -> Option<Emitters> {
+    /// The bright triangles of `all` (several sets of surfaces of one scene), and spots; `None` if there are none. Triangle
+    /// indices are those of their own set.
+    pub fn new(scene: &Scene, all: &[&Surfaces], spots: &[Spot]) -> Option<Emitters> {
         let (mut area, mut power) = (0.0, 0.0);
         let mut glowing = Vec::new();
         for surfaces in all {
@@ -104,7 +108,15 @@ impl Emitters {
         }
         let limit = (f64::from(BRIGHT) * power / area) as f32;
         glowing.retain(|emitter| emitter.radiance > limit && emitter.area > 0.0);
-        if glowing.is_empty() || !power.is_finite() {
+        if !power.is_finite() {
+            glowing.clear();
+        }
+        let spots = spots.iter().map(|&Spot { corners, radiance }| {
+            let area = area_of(&corners);
+            Emitter { corners, triangle: NO_TRIANGLE, area, radiance, double_sided: false }
+        });
+        glowing.extend(spots.filter(|spot| spot.area > 0.0 && (spot.area * spot.radiance).is_finite()));
+        if glowing.is_empty() {
             return None;
         }
         let corners: Vec<[Vec3; 3]> = glowing.iter().map(|e| e.corners).collect();
@@ -121,7 +133,7 @@ impl Emitters {
         self.emitters.len()
     }
 
-    /// `[i]`: number of the emitter that triangle i of the surfaces (there must be one set) is, or `u32::MAX`.
+    /// `[i]`: number of the emitter that triangle i of the surfaces (there must be one set, and no spot) is, or `u32::MAX`.
     pub fn numbers(&self, surfaces: &Surfaces) -> Vec<u32> {
         let mut numbers = vec![u32::MAX; surfaces.len()];
         for (number, emitter) in self.emitters.iter().enumerate() {

@@ -13,6 +13,7 @@ use super::effects::{EffectCache, PARTS};
 use super::guide::Guide;
 use super::punctual::Punctual;
 use super::sky::{Distant, Sky};
+use super::spots::{Eye, Spot, bright_spots};
 use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
@@ -167,26 +168,45 @@ impl<'a> Gdibl<'a> {
         settings: GdiblSettings,
     ) -> Gdibl<'a> {
         let frame = Frame::of_scene(scene);
-        let placed = probes.iter().map(|probe| PlacedProbe {
-            position: frame.to_trace(probe.position),
-            to_local: Mat3::from_quat(probe.rotation.inverse()),
-            gain: probe.exposure_stops.exp2(),
-            pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
-        });
+        let placed: Vec<PlacedProbe> = probes
+            .iter()
+            .map(|probe| PlacedProbe {
+                position: frame.to_trace(probe.position),
+                to_local: Mat3::from_quat(probe.rotation.inverse()),
+                gain: probe.exposure_stops.exp2(),
+                pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
+            })
+            .collect();
         let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame);
         let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
         let effects = match (&environment, &objects, settings.scene_hit) {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment, settings.walks)),
             _ => None,
         };
-        let guide = Guide::new(scene, distant, &environment.iter().chain(&objects).collect::<Vec<_>>());
+        let mut spots: Vec<Spot> = Vec::new();
+        if let Some(environment) = &environment {
+            for (probe, placed) in probes.iter().zip(&placed) {
+                let eye = Eye {
+                    panorama: &probe.panorama,
+                    position: placed.position,
+                    to_world: Mat3::from_quat(probe.rotation),
+                    gain: placed.gain,
+                };
+                spots.extend(bright_spots(&eye, |direction| {
+                    let hit = environment.closest(scene, placed.position, direction, 0.0, f32::INFINITY)?;
+                    Some((hit.position, hit.normal))
+                }));
+            }
+        }
+        let surfaces: Vec<&Surfaces> = environment.iter().chain(&objects).collect();
+        let guide = Guide::new(scene, distant, &surfaces, &spots);
         Gdibl {
             scene,
             frame,
             environment,
             objects,
             probes,
-            placed: placed.collect(),
+            placed,
             sky: distant.map(Sky::new),
             guide,
             punctual: Punctual::new(scene, &frame),

@@ -9,6 +9,7 @@ use glam::{Mat3, Vec3};
 use super::emitters::Emitters;
 use super::outlook::{Glance, GlanceSums, Outlook};
 use super::sky::{Distant, SkyImportance};
+use super::spots::Spot;
 use crate::panorama::Tiles;
 use crate::sampling::uniform_sphere;
 use crate::scene::Scene;
@@ -49,10 +50,10 @@ pub struct Guide {
 }
 
 impl Guide {
-    /// Directions toward what is bright in `distant` and on `surfaces`.
-    pub(super) fn new(scene: &Scene, distant: Option<&Distant>, surfaces: &[&Surfaces]) -> Guide {
+    /// Directions toward what is bright in `distant` and on `surfaces`, and toward spots.
+    pub(super) fn new(scene: &Scene, distant: Option<&Distant>, surfaces: &[&Surfaces], spots: &[Spot]) -> Guide {
         let sky = distant.and_then(SkyImportance::new);
-        let emitters = Emitters::new(scene, surfaces);
+        let emitters = Emitters::new(scene, surfaces, spots);
         let tiles = sky.as_ref().map_or_else(|| Tiles::new(64, 32), |sky| sky.tiles().clone());
         let to_local = sky.as_ref().map_or(Mat3::IDENTITY, SkyImportance::to_local);
         Guide { sky, sky_at_nodes: distant.and_then(SkyImportance::at_nodes), emitters, tiles, to_local }
@@ -61,7 +62,7 @@ impl Guide {
     /// Nothing is known to be bright.
     #[cfg(test)]
     pub(crate) fn nothing() -> Guide {
-        Guide::new(&Scene::default(), None, &[])
+        Guide::new(&Scene::default(), None, &[], &[])
     }
 
     /// Directions go toward the distant panorama.
@@ -69,7 +70,7 @@ impl Guide {
         self.sky.is_some()
     }
 
-    /// Emissive triangles toward which directions go.
+    /// Emissive triangles, and bright spots that probes have seen, toward which directions go.
     pub fn emitter_count(&self) -> usize {
         self.emitters.as_ref().map_or(0, Emitters::len)
     }
@@ -235,11 +236,11 @@ mod tests {
         let mut sunless = distant.clone();
         sunless.extract_sun().expect("one pixel stands out");
         vec![
-            Guide::new(&scene, None, &[]),
-            Guide::new(&scene, Some(&sunless), &[]),
-            Guide::new(&scene, Some(&distant), &[]),
-            Guide::new(&scene, None, &[&surfaces]),
-            Guide::new(&scene, Some(&distant), &[&surfaces]),
+            Guide::new(&scene, None, &[], &[]),
+            Guide::new(&scene, Some(&sunless), &[], &[]),
+            Guide::new(&scene, Some(&distant), &[], &[]),
+            Guide::new(&scene, None, &[&surfaces], &[]),
+            Guide::new(&scene, Some(&distant), &[&surfaces], &[]),
         ]
     }
 
@@ -331,7 +332,7 @@ mod tests {
         let mut scene = scene();
         let count = |scene: &Scene| {
             let surfaces = Surfaces::new(scene, |_| true, &Frame::default()).unwrap();
-            Emitters::new(scene, &[&surfaces]).map_or(0, |emitters| emitters.len())
+            Emitters::new(scene, &[&surfaces], &[]).map_or(0, |emitters| emitters.len())
         };
         assert_eq!(count(&scene), 4);
         scene.materials[0].emission = Vec3::splat(2.0);

@@ -10,6 +10,7 @@ pub mod path;
 mod punctual;
 mod seen;
 mod sky;
+mod spots;
 
 use glam::Vec3;
 

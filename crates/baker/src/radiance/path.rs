@@ -67,7 +67,7 @@ impl<'a> Path<'a> {
         assert!(settings.bounces <= PathSettings::MAX_BOUNCES, "bounces {}", settings.bounces);
         let frame = Frame::of_scene(scene);
         let surfaces = Surfaces::new(scene, |mesh| settings.scene_geometry || mesh.role == Role::Environment, &frame);
-        let guide = Guide::new(scene, distant, &surfaces.iter().collect::<Vec<_>>());
+        let guide = Guide::new(scene, distant, &surfaces.iter().collect::<Vec<_>>(), &[]);
         let emitters = match (guide.emitters(), &surfaces) {
             (Some(emitters), Some(surfaces)) => emitters.numbers(surfaces),
             _ => Vec::new(),

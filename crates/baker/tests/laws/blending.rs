@@ -1,36 +1,10 @@
 //! Blending at a surface point, through the whole radiance function.
 
-use gdibl_baker::radiance::PathContext;
-use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
-use gdibl_baker::sampling::{Sampler, Stream};
-use gdibl_baker::scene::{Role, Scene};
 use glam::{DVec3, Vec3};
 
 use crate::level::*;
-
-/// The square |x|, |y| <= 20 at z = 0.
-fn plane() -> Scene {
-    let mut scene = Scene::default();
-    let [a, b, c, d] = [[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
-    add(&mut scene, Role::Environment, &[[a, b, c], [a, c, d]]);
-    scene
-}
-
-/// A probe of one colour.
-fn single(position: [f64; 3], width: usize, light: [f32; 3]) -> Probe {
-    probe(position.into(), width, |_| light)
-}
-
-/// Radiance of the surface point `to` as seen from `from`.
-fn seen(function: &Gdibl, from: DVec3, to: DVec3) -> Vec3 {
-    let [from, to] = [from, to].map(|p| function.frame().to_trace(p));
-    let mut context = PathContext::new(Stream::new(Sampler::Random, 0, 0, 0));
-    let found = function.radiance(from, (to - from).normalize(), &mut context);
-    assert_eq!(found.coverage, 1.0);
-    found.value
-}
 
 #[test]
 fn blended_light_is_continuous_over_a_plane_where_the_rule_promises_it() {
@@ -69,12 +43,6 @@ fn blended_light_is_continuous_over_a_plane_where_the_rule_promises_it() {
             assert!(fine > 0.5 * coarse && fine > 0.05, "{rule}: {coarse} to {fine}");
         }
     }
-}
-
-fn every_rule() -> Vec<BlendRule> {
-    let powers = [0.0, 1.0, 4.0, 1e3];
-    let of = |k| [BlendRule::Distance(k), BlendRule::Angular(k), BlendRule::AngularSmooth(k), BlendRule::Footprint(k)];
-    powers.into_iter().flat_map(of).chain([BlendRule::Nearest]).collect()
 }
 
 #[test]

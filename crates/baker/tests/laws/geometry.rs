@@ -3,44 +3,11 @@
 use gdibl_baker::bake::BakeSettings;
 use gdibl_baker::radiance::PathContext;
 use gdibl_baker::radiance::RadianceFunction;
-use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::sampling::{Sampler, Stream, fibonacci_sphere, uniform_sphere};
 use gdibl_baker::scene::{Role, Scene};
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::level::*;
-
-/// The whole input under x → scale · rotation · x + offset.
-struct Placement {
-    scale: f64,
-    rotation: DQuat,
-    offset: DVec3,
-}
-
-impl Placement {
-    fn point(&self, p: DVec3) -> DVec3 {
-        self.rotation * (p * self.scale) + self.offset
-    }
-
-    fn scene(&self, scene: &Scene) -> Scene {
-        let mut placed = scene.clone();
-        placed.meshes.iter_mut().flat_map(|m| &mut m.positions).for_each(|p| *p = self.point(*p));
-        placed
-    }
-
-    fn probes(&self, probes: &[Probe]) -> Vec<Probe> {
-        let place = |probe: &Probe| Probe {
-            position: self.point(probe.position),
-            rotation: self.rotation.as_quat() * probe.rotation,
-            ..probe.clone()
-        };
-        probes.iter().map(place).collect()
-    }
-
-    fn points(&self, points: &[DVec3]) -> Vec<DVec3> {
-        points.iter().map(|p| self.point(*p)).collect()
-    }
-}
 
 /// The most by which the light of a level changes with its size and place.
 fn change_with_size_and_place(scene: &Scene, bound: f64) {

@@ -1,16 +1,19 @@
-//! Levels made of boxes, probes made of functions, and bakes of a few points.
+//! Levels made of boxes, probes made of functions, and bakes of a few points. The extremes tool builds with them, too.
 
 use gdibl_baker::Control;
 use gdibl_baker::analyse::radiance_sh;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::panorama::Panorama;
+use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
-use gdibl_baker::radiance::{Distant, RadianceFunction};
+use gdibl_baker::radiance::{Distant, PathContext, RadianceFunction};
 use gdibl_baker::records::Records;
+use gdibl_baker::sampling::{Sampler, Stream, fibonacci_sphere};
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
 use gdibl_baker::volume::{PackSettings, Precision, pack};
 use gdibl_runtime::{RadianceSh, Volume};
-use glam::{DVec3, Quat, Vec3};
+use glam::{DQuat, DVec3, Quat, Vec3};
+use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
 
 pub type Triangle = [DVec3; 3];
@@ -92,6 +95,67 @@ pub fn coloured_probes() -> Vec<Probe> {
     ]
 }
 
+/// The square |x|, |y| <= 20 at z = 0.
+pub fn plane() -> Scene {
+    let mut scene = Scene::default();
+    let [a, b, c, d] = [[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+    add(&mut scene, Role::Environment, &[[a, b, c], [a, c, d]]);
+    scene
+}
+
+/// A probe of one colour.
+pub fn single(position: [f64; 3], width: usize, light: [f32; 3]) -> Probe {
+    probe(position.into(), width, |_| light)
+}
+
+/// Radiance of the surface point `to` as seen from `from`.
+pub fn seen(function: &Gdibl, from: DVec3, to: DVec3) -> Vec3 {
+    let [from, to] = [from, to].map(|p| function.frame().to_trace(p));
+    let mut context = PathContext::new(Stream::new(Sampler::Random, 0, 0, 0));
+    let found = function.radiance(from, (to - from).normalize(), &mut context);
+    assert_eq!(found.coverage, 1.0);
+    found.value
+}
+
+/// Every blend rule, at the ends of its power.
+pub fn every_rule() -> Vec<BlendRule> {
+    let powers = [0.0, 1.0, 4.0, 1e3];
+    let of = |k| [BlendRule::Distance(k), BlendRule::Angular(k), BlendRule::AngularSmooth(k), BlendRule::Footprint(k)];
+    powers.into_iter().flat_map(of).chain([BlendRule::Nearest]).collect()
+}
+
+/// The whole input under x → scale · rotation · x + offset.
+pub struct Placement {
+    pub scale: f64,
+    pub rotation: DQuat,
+    pub offset: DVec3,
+}
+
+impl Placement {
+    pub fn point(&self, p: DVec3) -> DVec3 {
+        self.rotation * (p * self.scale) + self.offset
+    }
+
+    pub fn scene(&self, scene: &Scene) -> Scene {
+        let mut placed = scene.clone();
+        placed.meshes.iter_mut().flat_map(|m| &mut m.positions).for_each(|p| *p = self.point(*p));
+        placed
+    }
+
+    pub fn probes(&self, probes: &[Probe]) -> Vec<Probe> {
+        let place = |probe: &Probe| Probe {
+            position: self.point(probe.position),
+            rotation: self.rotation.as_quat() * probe.rotation,
+            ..probe.clone()
+        };
+        probes.iter().map(place).collect()
+    }
+
+    pub fn points(&self, points: &[DVec3]) -> Vec<DVec3> {
+        points.iter().map(|p| self.point(*p)).collect()
+    }
+}
+
 /// GDIBL by the defaults.
 pub fn gdibl<'a>(scene: &'a Scene, probes: &'a [Probe], distant: Option<&'a Distant>) -> Gdibl<'a> {
     Gdibl::new(scene, probes, distant, GdiblSettings::default())
@@ -101,6 +165,31 @@ pub fn bake_points(function: &impl RadianceFunction, points: &[DVec3], settings:
     let nodes = Nodes::Points(points.to_vec());
     let cancel = AtomicBool::new(false);
     bake(&nodes, function, settings, &Control { cancel: &cancel, progress: &|_, _| {} }).expect("nobody interrupts")
+}
+
+/// Largest relative error of E = πL over nodes and 100 normals.
+pub fn furnace_error(function: &Gdibl, points: &[DVec3], settings: &BakeSettings, radiance: [f32; 3]) -> f64 {
+    let baked = bake_points(function, points, settings);
+    assert!(baked.valid.iter().all(|v| *v));
+    let mut worst = 0.0f64;
+    for node in 0..points.len() {
+        let irradiance = sh_of(&baked, node).convolve();
+        for normal in fibonacci_sphere(100) {
+            for (e, l) in irradiance.evaluate(normal.to_array()).iter().zip(radiance) {
+                worst = worst.max((f64::from(*e) / (PI * f64::from(l)) - 1.0).abs());
+            }
+        }
+    }
+    worst
+}
+
+/// [`coloured_probes`] that all show one constant radiance.
+pub fn white_probes(radiance: [f32; 3]) -> Vec<Probe> {
+    let mut probes = coloured_probes();
+    for probe in &mut probes {
+        probe.panorama.pixels_mut().fill(radiance);
+    }
+    probes
 }
 
 /// What an engine would load of a bake: packed in single floats and parsed again.
@@ -117,6 +206,26 @@ pub fn volume_of(nodes: &Nodes, function: &Gdibl, settings: &BakeSettings) -> Vo
 /// Coefficients of a node.
 pub fn sh_of(baked: &Baked, node: usize) -> RadianceSh {
     radiance_sh(baked.bands, baked.node(node).chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2]]))
+}
+
+/// Root mean square of E over 26 normals and RGB.
+pub fn strength(sh: &RadianceSh) -> f64 {
+    let irradiance = sh.convolve();
+    let squares = fibonacci_sphere(26).into_iter().flat_map(|n| irradiance.evaluate(n.to_array()));
+    (squares.map(|e| f64::from(e).powi(2)).sum::<f64>() / 78.0).sqrt()
+}
+
+/// Standard errors of E as the bake claims them: its relative errors are over a tenth of the median at least.
+pub fn standard_errors(baked: &Baked) -> Vec<f64> {
+    let strengths: Vec<f64> = (0..baked.valid.len()).map(|node| strength(&sh_of(baked, node))).collect();
+    let floor = 0.1 * median(strengths.clone());
+    strengths.iter().zip(&baked.relative_error).map(|(e, error)| f64::from(*error) * e.max(floor)).collect()
+}
+
+/// The one in the middle.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }
 
 /// Root of the mean square of all coefficients.
@@ -137,7 +246,7 @@ pub const SMALL: BakeSettings = BakeSettings {
     samples: 512,
     target_error: None,
     seed: 3,
-    sampler: gdibl_baker::sampling::Sampler::Sobol,
+    sampler: Sampler::Sobol,
     importance: true,
     coefficient_errors: false,
     punctual: false,

@@ -3,36 +3,11 @@
 use gdibl_baker::bake::BakeSettings;
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe, SceneHit};
-use gdibl_baker::sampling::fibonacci_sphere;
 use gdibl_baker::scene::{Role, Scene};
 use glam::{DVec3, Quat, Vec3};
 use std::f64::consts::PI;
 
 use crate::level::*;
-
-/// Largest relative error of E = πL over nodes and 100 normals.
-fn furnace_error(function: &Gdibl, points: &[DVec3], settings: &BakeSettings, radiance: [f32; 3]) -> f64 {
-    let baked = bake_points(function, points, settings);
-    assert!(baked.valid.iter().all(|v| *v));
-    let mut worst = 0.0f64;
-    for node in 0..points.len() {
-        let irradiance = sh_of(&baked, node).convolve();
-        for normal in fibonacci_sphere(100) {
-            for (e, l) in irradiance.evaluate(normal.to_array()).iter().zip(radiance) {
-                worst = worst.max((f64::from(*e) / (PI * f64::from(l)) - 1.0).abs());
-            }
-        }
-    }
-    worst
-}
-
-fn white_probes(radiance: [f32; 3]) -> Vec<Probe> {
-    let mut probes = coloured_probes();
-    for probe in &mut probes {
-        probe.panorama.pixels_mut().fill(radiance);
-    }
-    probes
-}
 
 #[test]
 fn white_furnace_holds_for_every_blend_rule_and_number_of_bands() {

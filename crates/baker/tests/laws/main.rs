@@ -2,6 +2,8 @@
 
 mod blending;
 mod deringing;
+mod exact;
+mod extremes;
 mod gather;
 mod geometry;
 mod level;

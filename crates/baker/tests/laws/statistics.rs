@@ -13,8 +13,8 @@ use gdibl_runtime::RadianceSh;
 use glam::{DVec3, Quat};
 use std::path::Path;
 
+use crate::exact::exact_sh;
 use crate::level::*;
-use crate::sun::exact_sh;
 
 /// A sky with a bright patch and soft structure.
 fn sky() -> gdibl_baker::radiance::Distant {

@@ -1,4 +1,5 @@
-//! Emissive triangles as lights: which, how strong, and points on them.
+//! Bright triangles as lights: which, how strong, and points on them. Emissive ones of the level, and bright
+//! [regions](super::regions) that probes show.
 //!
 //! A triangle is drawn by about what it gives to the point that is to be lit, down a tree of groups; a point on it
 //! uniformly. Based on: Pharr, Jakob, Humphreys, "Physically Based Rendering", 4th ed., 2023, §12.6.3. By power alone, a
@@ -18,18 +19,19 @@ const TAPS: u32 = 8;
 
 /// A triangle that is drawn.
 #[derive(Debug, Clone, Copy)]
-struct Emitter {
-    corners: [Vec3; 3],
-    /// Index into the surfaces it was found in.
-    triangle: u32,
+pub(super) struct Emitter {
+    /// Trace positions.
+    pub corners: [Vec3; 3],
+    /// Index into the surfaces it was found in; `None`: it is no triangle of any, but part of one or of several.
+    pub triangle: Option<u32>,
     /// Square trace units.
-    area: f32,
+    pub area: f32,
     /// Mean over the triangle and over R, G, B.
-    radiance: f32,
+    pub radiance: f32,
     double_sided: bool,
 }
 
-/// The emissive triangles of some surfaces, in a tree by which one is drawn for a point that is to be lit.
+/// Emitters in a tree by which one is drawn for a point that is to be lit.
 #[derive(Debug)]
 pub(super) struct Emitters {
     emitters: Vec<Emitter>,
@@ -72,8 +74,8 @@ pub(super) struct EmitterPoint {
     pub position: Vec3,
     /// Unit normal of the front.
     pub normal: Vec3,
-    /// Triangle in the surfaces.
-    pub triangle: u32,
+    /// Triangle in the surfaces; `None` on a region.
+    pub triangle: Option<u32>,
     /// Weights of corners 1 and 2.
     pub barycentric: Vec2,
     /// Probability density per square trace unit.
@@ -81,29 +83,36 @@ pub(super) struct EmitterPoint {
     emitter: u32,
 }
 
-impl Emitters {
-    /// The bright triangles of `all` (several sets of surfaces of one scene); `None` if there are none. Triangle indices
-    /// are those of their own set.
-    pub fn new(scene: &Scene, all: &[&Surfaces]) -> Option<Emitters> {
-        let (mut area, mut power) = (0.0, 0.0);
-        let mut glowing = Vec::new();
-        for surfaces in all {
-            for triangle in 0..surfaces.len() as u32 {
-                let corners = *surfaces.corners(triangle);
-                let own_area = area_of(&corners);
-                area += f64::from(own_area);
-                let material = surfaces.material(scene, triangle);
-                if material.emission == Vec3::ZERO {
-                    continue;
-                }
-                let radiance = mean_emission(scene, surfaces, triangle);
-                power += f64::from(own_area * radiance);
-                let double_sided = material.double_sided;
-                glowing.push(Emitter { corners, triangle, area: own_area, radiance, double_sided });
+/// The bright triangles of each of `all`, several sets of surfaces of one scene.
+pub(super) fn bright_triangles(scene: &Scene, all: &[&Surfaces]) -> Vec<Vec<Emitter>> {
+    let (mut area, mut power) = (0.0, 0.0);
+    let mut glowing = Vec::new();
+    for surfaces in all {
+        let mut own = Vec::new();
+        for triangle in 0..surfaces.len() as u32 {
+            let corners = *surfaces.corners(triangle);
+            let own_area = area_of(&corners);
+            area += f64::from(own_area);
+            let material = surfaces.material(scene, triangle);
+            if material.emission == Vec3::ZERO {
+                continue;
             }
+            let radiance = mean_emission(scene, surfaces, triangle);
+            power += f64::from(own_area * radiance);
+            let double_sided = material.double_sided;
+            own.push(Emitter { corners, triangle: Some(triangle), area: own_area, radiance, double_sided });
         }
-        let limit = (f64::from(BRIGHT) * power / area) as f32;
-        glowing.retain(|emitter| emitter.radiance > limit && emitter.area > 0.0);
+        glowing.push(own);
+    }
+    let limit = (f64::from(BRIGHT) * power / area) as f32;
+    glowing.iter_mut().for_each(|own| own.retain(|emitter| emitter.radiance > limit && emitter.area > 0.0));
+    glowing
+}
+
+impl Emitters {
+    /// A tree of these; `None` if there are none, or more light than numbers hold.
+    pub fn new(glowing: Vec<Emitter>) -> Option<Emitters> {
+        let power: f32 = glowing.iter().map(|emitter| emitter.radiance * emitter.area).sum();
         if glowing.is_empty() || !power.is_finite() {
             return None;
         }
@@ -121,11 +130,18 @@ impl Emitters {
         self.emitters.len()
     }
 
+    /// How many are triangles of the level.
+    pub fn emissive_count(&self) -> usize {
+        self.emitters.iter().filter(|emitter| emitter.triangle.is_some()).count()
+    }
+
     /// `[i]`: number of the emitter that triangle i of the surfaces (there must be one set) is, or `u32::MAX`.
     pub fn numbers(&self, surfaces: &Surfaces) -> Vec<u32> {
         let mut numbers = vec![u32::MAX; surfaces.len()];
         for (number, emitter) in self.emitters.iter().enumerate() {
-            numbers[emitter.triangle as usize] = number as u32;
+            if let Some(triangle) = emitter.triangle {
+                numbers[triangle as usize] = number as u32;
+            }
         }
         numbers
     }
@@ -333,7 +349,14 @@ impl Angle {
 }
 
 impl Emitter {
-    fn normal(&self) -> Vec3 {
+    /// A bright place that is no triangle of the level. It shines to the side from which its corners run
+    /// counter-clockwise.
+    pub fn region(corners: [Vec3; 3], radiance: f32) -> Emitter {
+        Emitter { corners, triangle: None, area: area_of(&corners), radiance, double_sided: false }
+    }
+
+    /// Unit, of the front.
+    pub fn normal(&self) -> Vec3 {
         let [a, b, c] = self.corners;
         (b - a).cross(c - a).normalize_or(Vec3::Y)
     }

@@ -10,8 +10,10 @@ use std::f32::consts::FRAC_1_PI;
 
 use super::blend::{BlendRule, NEGLIGIBLE, View};
 use super::effects::EffectCache;
+use super::emitters::bright_triangles;
 use super::guide::Guide;
 use super::punctual::Punctual;
+use super::regions::{Regions, Surroundings, bright_regions};
 use super::sky::{Distant, Sky};
 use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
@@ -86,11 +88,23 @@ const NEXT_EVENT: u32 = 4 * MAX_STEPS;
 
 /// A probe as the function uses it: in trace space, rotation turned round.
 #[derive(Debug)]
-struct PlacedProbe {
-    position: Vec3,
-    to_local: Mat3,
-    gain: f32,
-    pixels: f32,
+pub(super) struct PlacedProbe {
+    pub position: Vec3,
+    pub to_local: Mat3,
+    pub gain: f32,
+    /// How many.
+    pub pixels: f32,
+}
+
+impl PlacedProbe {
+    pub fn new(probe: &Probe, frame: &Frame) -> PlacedProbe {
+        PlacedProbe {
+            position: frame.to_trace(probe.position),
+            to_local: Mat3::from_quat(probe.rotation.inverse()),
+            gain: probe.exposure_stops.exp2(),
+            pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
+        }
+    }
 }
 
 /// The function, ready to be called from any thread.
@@ -102,6 +116,7 @@ pub struct Gdibl<'a> {
     objects: Option<Surfaces>,
     probes: &'a [Probe],
     placed: Vec<PlacedProbe>,
+    region_count: usize,
     sky: Option<Sky<'a>>,
     guide: Guide,
     punctual: Punctual,
@@ -145,26 +160,35 @@ impl<'a> Gdibl<'a> {
         settings: GdiblSettings,
     ) -> Gdibl<'a> {
         let frame = Frame::of_scene(scene);
-        let placed = probes.iter().map(|probe| PlacedProbe {
-            position: frame.to_trace(probe.position),
-            to_local: Mat3::from_quat(probe.rotation.inverse()),
-            gain: probe.exposure_stops.exp2(),
-            pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
-        });
+        let placed: Vec<PlacedProbe> = probes.iter().map(|probe| PlacedProbe::new(probe, &frame)).collect();
         let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame);
         let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
         let effects = match (&environment, &objects, settings.scene_hit) {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment)),
             _ => None,
         };
-        let guide = Guide::new(scene, distant, &environment.iter().chain(&objects).collect::<Vec<_>>());
+        let mut emitters = bright_triangles(scene, &environment.iter().chain(&objects).collect::<Vec<_>>());
+        let is_emissive = emitters.iter().any(|own| !own.is_empty());
+        let mut regions = Regions::default();
+        if let Some(environment) = &environment {
+            // An emissive triangle is not drawn again by what probes show of it. Regions instead of the triangles, where the
+            // light was all in the probes' pixels, had a sixth more noise in a Cornell box at 1024 directions.
+            let mut drawn = vec![false; environment.len()];
+            emitters[0].iter().filter_map(|emitter| emitter.triangle).for_each(|t| drawn[t as usize] = true);
+            let around = Surroundings { scene, frame: &frame, environment, probes, placed: &placed };
+            regions = bright_regions(&around, &drawn);
+        }
+        emitters.push(regions.emitters);
+        let guide = Guide::new(distant, emitters.into_iter().flatten().collect());
+        let guide = if is_emissive { guide } else { guide.with_emitter_weight(regions.weight) };
         Gdibl {
             scene,
             frame,
             environment,
             objects,
             probes,
-            placed: placed.collect(),
+            placed,
+            region_count: regions.count,
             sky: distant.map(Sky::new),
             guide,
             punctual: Punctual::new(scene, &frame),
@@ -176,6 +200,11 @@ impl<'a> Gdibl<'a> {
     /// How many probes may lend light.
     pub fn probe_count(&self) -> usize {
         self.probes.len()
+    }
+
+    /// Bright regions that probes show and that rays go to.
+    pub fn region_count(&self) -> usize {
+        self.region_count
     }
 
     /// A distant panorama lights what escapes.

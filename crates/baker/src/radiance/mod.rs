@@ -8,6 +8,7 @@ mod guide;
 mod outlook;
 pub mod path;
 mod punctual;
+mod regions;
 mod seen;
 mod sky;
 

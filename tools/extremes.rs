@@ -15,6 +15,7 @@ use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::blend::{BlendRule, View};
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::radiance::path::{Path, PathSettings};
+use gdibl_baker::records::Records;
 use gdibl_baker::sampling::{Sampler, Stream, fibonacci_sphere};
 use gdibl_baker::scene::{Material, PunctualKind, PunctualLight, Role, Scene};
 use gdibl_baker::volume::{PackSettings, Precision, pack};
@@ -124,8 +125,12 @@ fn laws(table: &mut Table) {
         for bands in 0..=4 {
             let nodes = Nodes::Points(places());
             let baked = bake_all(&function, &nodes, &BakeSettings { bands, ..USUAL });
-            let packed =
-                pack(&nodes, &baked, records(), PackSettings { precision: Precision::F16, ..Default::default() });
+            let packed = pack(
+                &nodes,
+                &baked,
+                Records::default(),
+                PackSettings { precision: Precision::F16, ..Default::default() },
+            );
             let volume = Volume::parse(&packed.bytes).expect("what was packed parses");
             for node in 0..nodes.len() {
                 single = single.max(off_the_furnace(&sh_of(&baked, node), radiance));
@@ -1007,7 +1012,8 @@ fn harmonics(table: &mut Table) {
                     let volume = |dering| {
                         let settings = PackSettings { precision, dering, ..PackSettings::default() };
                         let nodes = Nodes::Points(points.to_vec());
-                        Volume::parse(&pack(&nodes, &baked, records(), settings).bytes).expect("what was packed parses")
+                        Volume::parse(&pack(&nodes, &baked, Records::default(), settings).bytes)
+                            .expect("what was packed parses")
                     };
                     let (before, after) = (volume(false).node_sh(0), volume(true).node_sh(0));
                     kept &= before.coefficients[0] == after.coefficients[0];

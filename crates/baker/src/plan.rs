@@ -64,7 +64,12 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
                 PlanRow::new("recursion", false, format!("{n} triangles only occlude (asked for)"))
             }
         },
-        emitters(function),
+        emitters(function.guide().emissive_count()),
+        match function.region_count() {
+            _ if environment == 0 || probes == 0 => PlanRow::new("bright-regions", false, "no probe shows a surface"),
+            0 => PlanRow::new("bright-regions", false, "no probe shows a small lamp or the like on a surface"),
+            n => PlanRow::new("bright-regions", true, format!("rays are sent to {n} that probes show on surfaces")),
+        },
         transparency(scene),
     ]
 }
@@ -85,7 +90,7 @@ pub fn plan_path(scene: &Scene, path: &Path) -> Vec<PlanRow> {
             true => PlanRow::new("distant", true, "every surface asks the distant panorama"),
             false => PlanRow::new("distant", false, "no distant panorama, or a black one"),
         },
-        emitters(path),
+        emitters(path.guide().emissive_count()),
         match scene.lights.len() {
             0 => PlanRow::new("punctual", false, "no punctual light"),
             n => PlanRow::new("punctual", true, format!("every surface asks one of {n} punctual lights")),
@@ -94,10 +99,10 @@ pub fn plan_path(scene: &Scene, path: &Path) -> Vec<PlanRow> {
     ]
 }
 
-fn emitters(function: &impl RadianceFunction) -> PlanRow {
-    match function.guide().emitter_count() {
-        0 => PlanRow::new("emitters", false, "no emissive triangle or spot stands out"),
-        n => PlanRow::new("emitters", true, format!("rays are sent to {n} emissive triangles and bright spots too")),
+fn emitters(count: usize) -> PlanRow {
+    match count {
+        0 => PlanRow::new("emitters", false, "no emissive triangle stands out"),
+        n => PlanRow::new("emitters", true, format!("rays are sent to {n} emissive triangles too")),
     }
 }
 

@@ -1,4 +1,5 @@
-//! Emissive triangles as lights: which, how strong, and points on them.
+//! Bright triangles as lights: which, how strong, and points on them. Emissive ones of the level, and bright
+//! [regions](super::regions) that probes show.
 //!
 //! A triangle is drawn by about what it gives to the point that is to be lit, down a tree of groups; a point on it
 //! uniformly. Based on: Pharr, Jakob, Humphreys, "Physically Based Rendering", 4th ed., 2023, §12.6.3. By power alone, a
@@ -8,7 +9,6 @@
 
 use glam::{Vec2, Vec3};
 
-use super::spots::Spot;
 use crate::scene::Scene;
 use crate::trace::{Surfaces, Tree};
 
@@ -17,23 +17,21 @@ const BRIGHT: f32 = 4.0;
 /// Places along an edge where a textured triangle's emission is looked up for its mean.
 const TAPS: u32 = 8;
 
-/// A spot of a surface is no whole triangle of it.
-const NO_TRIANGLE: u32 = u32::MAX;
-
 /// A triangle that is drawn.
 #[derive(Debug, Clone, Copy)]
-struct Emitter {
-    corners: [Vec3; 3],
-    /// Index into the surfaces it was found in; [`NO_TRIANGLE`] of a spot.
-    triangle: u32,
+pub(super) struct Emitter {
+    /// Trace positions.
+    pub corners: [Vec3; 3],
+    /// Index into the surfaces it was found in; `None`: it is no triangle of any, but part of one or of several.
+    pub triangle: Option<u32>,
     /// Square trace units.
-    area: f32,
+    pub area: f32,
     /// Mean over the triangle and over R, G, B.
-    radiance: f32,
+    pub radiance: f32,
     double_sided: bool,
 }
 
-/// The emissive triangles of some surfaces, in a tree by which one is drawn for a point that is to be lit.
+/// Emitters in a tree by which one is drawn for a point that is to be lit.
 #[derive(Debug)]
 pub(super) struct Emitters {
     emitters: Vec<Emitter>,
@@ -76,8 +74,8 @@ pub(super) struct EmitterPoint {
     pub position: Vec3,
     /// Unit normal of the front.
     pub normal: Vec3,
-    /// Triangle in the surfaces.
-    pub triangle: u32,
+    /// Triangle in the surfaces; `None` on a region.
+    pub triangle: Option<u32>,
     /// Weights of corners 1 and 2.
     pub barycentric: Vec2,
     /// Probability density per square trace unit.
@@ -85,38 +83,37 @@ pub(super) struct EmitterPoint {
     emitter: u32,
 }
 
-impl Emitters {
-    /// The bright triangles of `all` (several sets of surfaces of one scene), and spots; `None` if there are none. Triangle
-    /// indices are those of their own set.
-    pub fn new(scene: &Scene, all: &[&Surfaces], spots: &[Spot]) -> Option<Emitters> {
-        let (mut area, mut power) = (0.0, 0.0);
-        let mut glowing = Vec::new();
-        for surfaces in all {
-            for triangle in 0..surfaces.len() as u32 {
-                let corners = *surfaces.corners(triangle);
-                let own_area = area_of(&corners);
-                area += f64::from(own_area);
-                let material = surfaces.material(scene, triangle);
-                if material.emission == Vec3::ZERO {
-                    continue;
-                }
-                let radiance = mean_emission(scene, surfaces, triangle);
-                power += f64::from(own_area * radiance);
-                let double_sided = material.double_sided;
-                glowing.push(Emitter { corners, triangle, area: own_area, radiance, double_sided });
+/// The bright triangles of each of `all`, several sets of surfaces of one scene.
+pub(super) fn bright_triangles(scene: &Scene, all: &[&Surfaces]) -> Vec<Vec<Emitter>> {
+    let (mut area, mut power) = (0.0, 0.0);
+    let mut glowing = Vec::new();
+    for surfaces in all {
+        let mut own = Vec::new();
+        for triangle in 0..surfaces.len() as u32 {
+            let corners = *surfaces.corners(triangle);
+            let own_area = area_of(&corners);
+            area += f64::from(own_area);
+            let material = surfaces.material(scene, triangle);
+            if material.emission == Vec3::ZERO {
+                continue;
             }
+            let radiance = mean_emission(scene, surfaces, triangle);
+            power += f64::from(own_area * radiance);
+            let double_sided = material.double_sided;
+            own.push(Emitter { corners, triangle: Some(triangle), area: own_area, radiance, double_sided });
         }
-        let limit = (f64::from(BRIGHT) * power / area) as f32;
-        glowing.retain(|emitter| emitter.radiance > limit && emitter.area > 0.0);
-        if !power.is_finite() {
-            glowing.clear();
-        }
-        let spots = spots.iter().map(|&Spot { corners, radiance }| {
-            let area = area_of(&corners);
-            Emitter { corners, triangle: NO_TRIANGLE, area, radiance, double_sided: false }
-        });
-        glowing.extend(spots.filter(|spot| spot.area > 0.0 && (spot.area * spot.radiance).is_finite()));
-        if glowing.is_empty() {
+        glowing.push(own);
+    }
+    let limit = (f64::from(BRIGHT) * power / area) as f32;
+    glowing.iter_mut().for_each(|own| own.retain(|emitter| emitter.radiance > limit && emitter.area > 0.0));
+    glowing
+}
+
+impl Emitters {
+    /// A tree of these; `None` if there are none, or more light than numbers hold.
+    pub fn new(glowing: Vec<Emitter>) -> Option<Emitters> {
+        let power: f32 = glowing.iter().map(|emitter| emitter.radiance * emitter.area).sum();
+        if glowing.is_empty() || !power.is_finite() {
             return None;
         }
         let corners: Vec<[Vec3; 3]> = glowing.iter().map(|e| e.corners).collect();
@@ -133,11 +130,18 @@ impl Emitters {
         self.emitters.len()
     }
 
-    /// `[i]`: number of the emitter that triangle i of the surfaces (there must be one set, and no spot) is, or `u32::MAX`.
+    /// How many are triangles of the level.
+    pub fn emissive_count(&self) -> usize {
+        self.emitters.iter().filter(|emitter| emitter.triangle.is_some()).count()
+    }
+
+    /// `[i]`: number of the emitter that triangle i of the surfaces (there must be one set) is, or `u32::MAX`.
     pub fn numbers(&self, surfaces: &Surfaces) -> Vec<u32> {
         let mut numbers = vec![u32::MAX; surfaces.len()];
         for (number, emitter) in self.emitters.iter().enumerate() {
-            numbers[emitter.triangle as usize] = number as u32;
+            if let Some(triangle) = emitter.triangle {
+                numbers[triangle as usize] = number as u32;
+            }
         }
         numbers
     }
@@ -345,7 +349,14 @@ impl Angle {
 }
 
 impl Emitter {
-    fn normal(&self) -> Vec3 {
+    /// A bright place that is no triangle of the level. It shines to the side from which its corners run
+    /// counter-clockwise.
+    pub fn region(corners: [Vec3; 3], radiance: f32) -> Emitter {
+        Emitter { corners, triangle: None, area: area_of(&corners), radiance, double_sided: false }
+    }
+
+    /// Unit, of the front.
+    pub fn normal(&self) -> Vec3 {
         let [a, b, c] = self.corners;
         (b - a).cross(c - a).normalize_or(Vec3::Y)
     }

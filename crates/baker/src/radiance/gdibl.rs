@@ -10,10 +10,11 @@ use std::f32::consts::FRAC_1_PI;
 
 use super::blend::{BlendRule, NEGLIGIBLE, View};
 use super::effects::{EffectCache, PARTS};
+use super::emitters::bright_triangles;
 use super::guide::Guide;
 use super::punctual::Punctual;
+use super::regions::{Regions, Surroundings, bright_regions};
 use super::sky::{Distant, Sky};
-use super::spots::{Eye, Spot, bright_spots};
 use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
@@ -109,11 +110,23 @@ const NEXT_EVENT: u32 = 4 * MAX_STEPS;
 
 /// A probe as the function uses it: in trace space, rotation turned round.
 #[derive(Debug)]
-struct PlacedProbe {
-    position: Vec3,
-    to_local: Mat3,
-    gain: f32,
-    pixels: f32,
+pub(super) struct PlacedProbe {
+    pub position: Vec3,
+    pub to_local: Mat3,
+    pub gain: f32,
+    /// How many.
+    pub pixels: f32,
+}
+
+impl PlacedProbe {
+    pub fn new(probe: &Probe, frame: &Frame) -> PlacedProbe {
+        PlacedProbe {
+            position: frame.to_trace(probe.position),
+            to_local: Mat3::from_quat(probe.rotation.inverse()),
+            gain: probe.exposure_stops.exp2(),
+            pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
+        }
+    }
 }
 
 /// The function, ready to be called from any thread.
@@ -125,6 +138,7 @@ pub struct Gdibl<'a> {
     objects: Option<Surfaces>,
     probes: &'a [Probe],
     placed: Vec<PlacedProbe>,
+    region_count: usize,
     sky: Option<Sky<'a>>,
     guide: Guide,
     punctual: Punctual,
@@ -168,38 +182,27 @@ impl<'a> Gdibl<'a> {
         settings: GdiblSettings,
     ) -> Gdibl<'a> {
         let frame = Frame::of_scene(scene);
-        let placed: Vec<PlacedProbe> = probes
-            .iter()
-            .map(|probe| PlacedProbe {
-                position: frame.to_trace(probe.position),
-                to_local: Mat3::from_quat(probe.rotation.inverse()),
-                gain: probe.exposure_stops.exp2(),
-                pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
-            })
-            .collect();
+        let placed: Vec<PlacedProbe> = probes.iter().map(|probe| PlacedProbe::new(probe, &frame)).collect();
         let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame);
         let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
         let effects = match (&environment, &objects, settings.scene_hit) {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment, settings.walks)),
             _ => None,
         };
-        let mut spots: Vec<Spot> = Vec::new();
+        let mut emitters = bright_triangles(scene, &environment.iter().chain(&objects).collect::<Vec<_>>());
+        let is_emissive = emitters.iter().any(|own| !own.is_empty());
+        let mut regions = Regions::default();
         if let Some(environment) = &environment {
-            for (probe, placed) in probes.iter().zip(&placed) {
-                let eye = Eye {
-                    panorama: &probe.panorama,
-                    position: placed.position,
-                    to_world: Mat3::from_quat(probe.rotation),
-                    gain: placed.gain,
-                };
-                spots.extend(bright_spots(&eye, |direction| {
-                    let hit = environment.closest(scene, placed.position, direction, 0.0, f32::INFINITY)?;
-                    Some((hit.position, hit.normal))
-                }));
-            }
+            // An emissive triangle is not drawn again by what probes show of it. Regions instead of the triangles, where the
+            // light was all in the probes' pixels, had a sixth more noise in a Cornell box at 1024 directions.
+            let mut drawn = vec![false; environment.len()];
+            emitters[0].iter().filter_map(|emitter| emitter.triangle).for_each(|t| drawn[t as usize] = true);
+            let around = Surroundings { scene, frame: &frame, environment, probes, placed: &placed };
+            regions = bright_regions(&around, &drawn);
         }
-        let surfaces: Vec<&Surfaces> = environment.iter().chain(&objects).collect();
-        let guide = Guide::new(scene, distant, &surfaces, &spots);
+        emitters.push(regions.emitters);
+        let guide = Guide::new(distant, emitters.into_iter().flatten().collect());
+        let guide = if is_emissive { guide } else { guide.with_emitter_weight(regions.weight) };
         Gdibl {
             scene,
             frame,
@@ -207,6 +210,7 @@ impl<'a> Gdibl<'a> {
             objects,
             probes,
             placed,
+            region_count: regions.count,
             sky: distant.map(Sky::new),
             guide,
             punctual: Punctual::new(scene, &frame),
@@ -218,6 +222,11 @@ impl<'a> Gdibl<'a> {
     /// How many probes may lend light.
     pub fn probe_count(&self) -> usize {
         self.probes.len()
+    }
+
+    /// Bright regions that probes show and that rays go to.
+    pub fn region_count(&self) -> usize {
+        self.region_count
     }
 
     /// A distant panorama lights what escapes.

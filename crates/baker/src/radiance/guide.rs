@@ -2,18 +2,15 @@
 //!
 //! Multiple importance sampling by the one density of the mixture (balance heuristic; Veach, 1997, §9.2). A node's
 //! directions come by four techniques: uniform; toward surfaces, as bright as they look from there; toward the sky, by
-//! its light where it shows; toward emissive triangles. How bright and where is an [`Outlook`].
+//! its light where it shows; toward emissive triangles and bright regions. How bright and where is an [`Outlook`].
 
 use glam::{Mat3, Vec3};
 
-use super::emitters::Emitters;
+use super::emitters::{Emitter, Emitters};
 use super::outlook::{Glance, GlanceSums, Outlook};
 use super::sky::{Distant, SkyImportance};
-use super::spots::Spot;
 use crate::panorama::Tiles;
 use crate::sampling::uniform_sphere;
-use crate::scene::Scene;
-use crate::trace::Surfaces;
 
 /// Share of directions that are uniform over the sphere. The weight of no direction exceeds its inverse, whatever the
 /// outlook has wrong.
@@ -28,7 +25,7 @@ pub enum Technique {
     Surfaces,
     /// Toward a bright sky.
     Sky,
-    /// Toward emissive triangles.
+    /// Toward emissive triangles, and bright regions that probes show.
     Emitters,
 }
 
@@ -44,25 +41,40 @@ pub struct Guide {
     /// What nodes see of the sky, where that is not the whole of it.
     sky_at_nodes: Option<SkyImportance>,
     emitters: Option<Emitters>,
+    /// How much they count, 0..=1.
+    emitter_weight: f32,
     /// Of directions turned by `to_local`.
     tiles: Tiles,
     to_local: Mat3,
 }
 
 impl Guide {
-    /// Directions toward what is bright in `distant` and on `surfaces`, and toward spots.
-    pub(super) fn new(scene: &Scene, distant: Option<&Distant>, surfaces: &[&Surfaces], spots: &[Spot]) -> Guide {
+    /// Directions toward what is bright in `distant` and toward `emitters`.
+    pub(super) fn new(distant: Option<&Distant>, emitters: Vec<Emitter>) -> Guide {
         let sky = distant.and_then(SkyImportance::new);
-        let emitters = Emitters::new(scene, surfaces, spots);
+        let emitters = Emitters::new(emitters);
         let tiles = sky.as_ref().map_or_else(|| Tiles::new(64, 32), |sky| sky.tiles().clone());
         let to_local = sky.as_ref().map_or(Mat3::IDENTITY, SkyImportance::to_local);
-        Guide { sky, sky_at_nodes: distant.and_then(SkyImportance::at_nodes), emitters, tiles, to_local }
+        let emitter_weight = if emitters.is_some() { 1.0 } else { 0.0 };
+        Guide {
+            sky,
+            sky_at_nodes: distant.and_then(SkyImportance::at_nodes),
+            emitters,
+            emitter_weight,
+            tiles,
+            to_local,
+        }
+    }
+
+    /// With fewer directions toward emitters, if there are any: `weight`, 0..=1, times as many.
+    pub(super) fn with_emitter_weight(self, weight: f32) -> Guide {
+        Guide { emitter_weight: self.emitter_weight * weight, ..self }
     }
 
     /// Nothing is known to be bright.
     #[cfg(test)]
     pub(crate) fn nothing() -> Guide {
-        Guide::new(&Scene::default(), None, &[], &[])
+        Guide::new(None, Vec::new())
     }
 
     /// Directions go toward the distant panorama.
@@ -70,9 +82,14 @@ impl Guide {
         self.sky.is_some()
     }
 
-    /// Emissive triangles, and bright spots that probes have seen, toward which directions go.
+    /// Triangles toward which directions go: emissive ones, and bright regions of two each.
     pub fn emitter_count(&self) -> usize {
         self.emitters.as_ref().map_or(0, Emitters::len)
+    }
+
+    /// Those that are emissive triangles.
+    pub fn emissive_count(&self) -> usize {
+        self.emitters.as_ref().map_or(0, Emitters::emissive_count)
     }
 
     pub(super) fn sky(&self) -> Option<&SkyImportance> {
@@ -100,7 +117,7 @@ impl Guide {
     /// All directions uniform.
     pub fn uniform_outlook(&self) -> Outlook {
         let mut outlook = self.outlook(&self.no_glances());
-        outlook.share(1.0, false, false);
+        outlook.share(1.0, false, 0.0);
         outlook
     }
 
@@ -109,7 +126,7 @@ impl Guide {
         let sky = self.sky_at_nodes().into_iter().flat_map(SkyImportance::light);
         let none = std::iter::repeat_n(0.0, if self.sky.is_some() { 0 } else { self.tiles.len() });
         let mut outlook = glances.outlook(&self.tiles, sky.chain(none));
-        outlook.share(UNIFORM_SHARE, self.sky.is_some(), self.emitters.is_some());
+        outlook.share(UNIFORM_SHARE, self.sky.is_some(), self.emitter_weight);
         outlook
     }
 
@@ -194,11 +211,12 @@ impl Guide {
 
 #[cfg(test)]
 mod tests {
+    use super::super::emitters::bright_triangles;
     use super::*;
     use crate::panorama::Panorama;
     use crate::sampling::{Sampler, Stream, fibonacci_sphere};
-    use crate::scene::{Material, Mesh};
-    use crate::trace::Frame;
+    use crate::scene::{Material, Mesh, Scene};
+    use crate::trace::{Frame, Surfaces};
     use glam::{DVec3, Quat};
 
     /// Two lamps of different power around the origin, one behind the other's edge, in a level of dark walls.
@@ -229,18 +247,35 @@ mod tests {
         Distant { rotation: Quat::from_rotation_x(0.5), panorama, ..Distant::black() }
     }
 
+    /// Two that overlap on one plane, and one that shines away from the origin.
+    fn regions() -> Vec<Emitter> {
+        let quad = |[a, b, c, d]: [Vec3; 4], radiance: f32| {
+            [[a, b, c], [a, c, d]].map(|corners| Emitter::region(corners, radiance))
+        };
+        let on_wall = |x: f32, radiance: f32| {
+            let corners = [[x, 0.2], [x, -0.3], [x + 0.4, -0.3], [x + 0.4, 0.2]];
+            quad(corners.map(|[x, y]| Vec3::new(x, y, -2.0)), radiance)
+        };
+        let mut away = on_wall(-1.5, 300.0);
+        away.iter_mut().for_each(|emitter| emitter.corners.swap(1, 2));
+        [on_wall(0.1, 200.0), on_wall(0.4, 50.0), away].concat()
+    }
+
     fn guides() -> Vec<Guide> {
         let scene = scene();
         let surfaces = Surfaces::new(&scene, |_| true, &Frame::default()).unwrap();
         let distant = distant();
         let mut sunless = distant.clone();
         sunless.extract_sun().expect("one pixel stands out");
+        let lamps = || bright_triangles(&scene, &[&surfaces]).remove(0);
         vec![
-            Guide::new(&scene, None, &[], &[]),
-            Guide::new(&scene, Some(&sunless), &[], &[]),
-            Guide::new(&scene, Some(&distant), &[], &[]),
-            Guide::new(&scene, None, &[&surfaces], &[]),
-            Guide::new(&scene, Some(&distant), &[&surfaces], &[]),
+            Guide::new(None, Vec::new()),
+            Guide::new(Some(&sunless), Vec::new()),
+            Guide::new(Some(&distant), Vec::new()),
+            Guide::new(None, lamps()),
+            Guide::new(Some(&distant), lamps()),
+            Guide::new(Some(&distant), regions()).with_emitter_weight(0.3),
+            Guide::new(None, lamps().into_iter().chain(regions()).collect()),
         ]
     }
 
@@ -332,7 +367,7 @@ mod tests {
         let mut scene = scene();
         let count = |scene: &Scene| {
             let surfaces = Surfaces::new(scene, |_| true, &Frame::default()).unwrap();
-            Emitters::new(scene, &[&surfaces], &[]).map_or(0, |emitters| emitters.len())
+            bright_triangles(scene, &[&surfaces])[0].len()
         };
         assert_eq!(count(&scene), 4);
         scene.materials[0].emission = Vec3::splat(2.0);

@@ -8,9 +8,9 @@ mod guide;
 mod outlook;
 pub mod path;
 mod punctual;
+mod regions;
 mod seen;
 mod sky;
-mod spots;
 
 use glam::Vec3;
 

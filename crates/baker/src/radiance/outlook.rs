@@ -106,10 +106,11 @@ impl GlanceSums {
 }
 
 impl Outlook {
-    /// Divides directions among techniques.
-    pub(super) fn share(&mut self, uniform: f32, sky: bool, emitters: bool) {
+    /// Divides directions among techniques. `emitters`, 0..=1: how much they count; at 1 they have a third of what is not
+    /// uniform.
+    pub(super) fn share(&mut self, uniform: f32, sky: bool, emitters: f32) {
         let left = 1.0 - uniform;
-        let emitters = if emitters { left / 3.0 } else { 0.0 };
+        let emitters = emitters * left / 3.0;
         let left = left - emitters;
         let surface_root = self.surface_light.sqrt();
         let sky_root = if sky { self.sky_light.sqrt() } else { 0.0 };

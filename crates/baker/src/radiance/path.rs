@@ -10,7 +10,7 @@
 
 use glam::Vec3;
 
-use super::emitters::{Receiver, solid_angle_density};
+use super::emitters::{Receiver, bright_triangles, solid_angle_density};
 use super::guide::Guide;
 use super::punctual::{Arriving, Punctual};
 use super::sky::{Distant, Sky};
@@ -67,7 +67,8 @@ impl<'a> Path<'a> {
         assert!(settings.bounces <= PathSettings::MAX_BOUNCES, "bounces {}", settings.bounces);
         let frame = Frame::of_scene(scene);
         let surfaces = Surfaces::new(scene, |mesh| settings.scene_geometry || mesh.role == Role::Environment, &frame);
-        let guide = Guide::new(scene, distant, &surfaces.iter().collect::<Vec<_>>(), &[]);
+        let bright = surfaces.iter().flat_map(|surfaces| bright_triangles(scene, &[surfaces])).flatten();
+        let guide = Guide::new(distant, bright.collect());
         let emitters = match (guide.emitters(), &surfaces) {
             (Some(emitters), Some(surfaces)) => emitters.numbers(surfaces),
             _ => Vec::new(),
@@ -192,13 +193,14 @@ impl<'a> Path<'a> {
             let cosine = direction.dot(normal);
             if let Some(point) = drawn.filter(|_| cosine > 0.0) {
                 let back = direction.dot(point.normal) > 0.0;
-                let place = surfaces.point(point.triangle, point.barycentric, back);
+                let triangle = point.triangle.expect("without probes there are no regions");
+                let place = surfaces.point(triangle, point.barycentric, back);
                 let emission = surfaces.emission(self.scene, &place)
-                    * surfaces.opacity_at(self.scene, point.triangle, point.barycentric);
+                    * surfaces.opacity_at(self.scene, triangle, point.barycentric);
                 let density = solid_angle_density(point.density, line, point.normal);
                 if emission != Vec3::ZERO && density.is_finite() && density > 0.0 {
                     context.rays += 1;
-                    let clear = surfaces.transmittance(self.scene, start, point.position, Some(point.triangle));
+                    let clear = surfaces.transmittance(self.scene, start, point.position, point.triangle);
                     sum += emission * (clear * cosine * FRAC_1_PI / (density + cosine * FRAC_1_PI));
                 }
             }

@@ -29,7 +29,7 @@ fn half_floats_keep_the_furnace_in_every_number_of_bands() {
     for bands in 0..=4 {
         let baked = bake_points(&gdibl(&scene, &probes, None), &places(), &BakeSettings { bands, ..SMALL });
         let settings = PackSettings { precision: Precision::F16, ..PackSettings::default() };
-        let volume = Volume::parse(&pack(&nodes, &baked, records(), settings).bytes).unwrap();
+        let volume = Volume::parse(&pack(&nodes, &baked, Records::default(), settings).bytes).unwrap();
         for node in 0..nodes.len() {
             let pair =
                 Pair { found: volume.node_sh(node), truth: Light::Radiance(sh_of(&baked, node)), variance: None };
@@ -73,7 +73,7 @@ fn bright_pixel_of_a_probe_is_found_on_walls_and_over_edges() {
             let baked = bake_points(&gdibl(&scene, &probes, None), &points, &settings);
             let error = error_of(&baked, truth).relative_rmse;
             println!("{pixel:?}, {bright:e}: {error:.1e}");
-            // Without spots it was 0.9.
+            // Without regions it was 0.9.
             assert!(error < 0.015, "{pixel:?}, {bright:e}: {error:.3}");
         }
     }

@@ -9,6 +9,7 @@ mod geometry;
 mod level;
 mod light;
 mod paths;
+mod regions;
 mod render;
 mod statistics;
 mod sun;

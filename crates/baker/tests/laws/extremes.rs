@@ -7,6 +7,7 @@ use gdibl_baker::capture::{CaptureSettings, capture};
 use gdibl_baker::panorama::Panorama;
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::path::{Path, PathSettings};
+use gdibl_baker::records::Records;
 use gdibl_baker::scene::{Material, Role, Scene};
 use gdibl_baker::volume::{PackSettings, Precision, pack};
 use gdibl_runtime::grid::Grid;

@@ -147,7 +147,7 @@ fn level_without_probes_is_captured_as_a_bake_does_and_without_light_there_is_no
     folder.bake(&["dark.glb", "--probes", "probe.exr", "--counts", "2,2,2", "--samples", "64", "-o", "truth.gdibl"]);
     folder.ok(&[&dark[..], &["--reference", "truth.gdibl", "-o", "dark"]].concat());
     let report: Value = serde_json::from_slice(&folder.read("dark.json")).unwrap();
-    assert_eq!(names(&report), ["gdibl", "gdibl random"]);
+    assert_eq!(names(&report), ["gdibl", "gdibl without importance", "gdibl random"]);
     assert_eq!(report["study"]["capture"], Value::Null);
     let left_out = report["left_out"].as_array().unwrap();
     assert!(left_out.iter().any(|l| l["method"] == "path"), "{left_out:?}");

@@ -248,7 +248,7 @@ fn plan_work(
     asked: Vec<methods::Method>,
     given: Option<&Given>,
 ) -> Result<Work, Fault> {
-    let circumstances = runner.circumstances()?;
+    let circumstances = runner.circumstances();
     let (methods, left_out) = methods::choose(asked, &circumstances);
     if methods.is_empty() {
         let reasons: Vec<String> = left_out.iter().map(|l| format!("{}: {}", l.method, l.why)).collect();

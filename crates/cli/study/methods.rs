@@ -44,9 +44,6 @@ pub struct Circumstances {
     /// The bake's own rule and sampler.
     pub blend: BlendRule,
     pub sampler: Sampler,
-    /// Directions go toward something bright: by gdibl, and by path tracing.
-    pub gdibl_importance: bool,
-    pub path_importance: bool,
     /// Something gives light that a path can find.
     pub light: bool,
 }
@@ -111,15 +108,12 @@ impl Method {
 
     /// Why it would repeat another one, or tell nothing.
     pub fn redundant(&self, circumstances: &Circumstances) -> Option<&'static str> {
-        let Circumstances { probes, blend, sampler, gdibl_importance, path_importance, light } = *circumstances;
+        let Circumstances { probes, blend, sampler, light } = *circumstances;
         match self {
             Method::Blend(_) if probes < 2 => Some("with fewer than two probes nothing is blended"),
             Method::Blend(rule) if *rule == blend => Some("is what gdibl does here"),
-            Method::GdiblUniform if !gdibl_importance => Some("nothing is bright: all directions are uniform"),
-            Method::GdiblRandom if sampler == Sampler::Random && !gdibl_importance => Some("is what gdibl does here"),
             Method::GdiblRandom if sampler == Sampler::Random => Some("is gdibl without importance here"),
             Method::Path | Method::PathUniform if !light => Some("nothing in the level gives light to trace"),
-            Method::PathUniform if !path_importance => Some("nothing is bright: all directions are uniform"),
             _ => None,
         }
     }
@@ -145,14 +139,8 @@ pub fn choose(methods: Vec<Method>, circumstances: &Circumstances) -> (Vec<Metho
 mod tests {
     use super::*;
 
-    const OF_A_BOX: Circumstances = Circumstances {
-        probes: 3,
-        blend: BlendRule::Footprint(4.0),
-        sampler: Sampler::Sobol,
-        gdibl_importance: true,
-        path_importance: true,
-        light: true,
-    };
+    const OF_A_BOX: Circumstances =
+        Circumstances { probes: 3, blend: BlendRule::Footprint(4.0), sampler: Sampler::Sobol, light: true };
 
     #[test]
     fn names_lead_back_to_methods_and_unknown_ones_list_them() {
@@ -181,10 +169,10 @@ mod tests {
              gdibl random, path, path without importance"
         );
         assert_eq!(left_out, [LeftOut { method: "gdibl footprint:4".into(), why: "is what gdibl does here" }]);
-        let bare = Circumstances { probes: 1, gdibl_importance: false, path_importance: false, ..OF_A_BOX };
+        let bare = Circumstances { probes: 1, ..OF_A_BOX };
         let (kept, left_out) = choose(Method::all(), &bare);
-        assert_eq!(names(&kept), "gdibl, gdibl random, path");
-        assert_eq!(left_out.len(), 7);
+        assert_eq!(names(&kept), "gdibl, gdibl without importance, gdibl random, path, path without importance");
+        assert_eq!(left_out.len(), 5);
         let dark = Circumstances { light: false, sampler: Sampler::Random, blend: BlendRule::Nearest, ..OF_A_BOX };
         let (kept, _) = choose(Method::all(), &dark);
         assert_eq!(

@@ -81,17 +81,13 @@ impl Runner<'_> {
     }
 
     /// What decides which methods tell something.
-    pub fn circumstances(&self) -> Result<Circumstances, Fault> {
-        let bright = |guide: &gdibl_baker::radiance::Guide| guide.to_sky() || guide.emitter_count() > 0;
-        let gdibl = self.gdibl(Method::Gdibl, 1, 0);
-        Ok(Circumstances {
+    pub fn circumstances(&self) -> Circumstances {
+        Circumstances {
             probes: self.inputs.probes.len(),
-            blend: gdibl.blend_rule(),
+            blend: gdibl_settings(&self.config.quality, self.inputs.captured).blend,
             sampler: self.settings.sampler,
-            gdibl_importance: bright(gdibl.guide()),
-            path_importance: bright(self.path()?.guide()),
             light: self.inputs.has_light(),
-        })
+        }
     }
 
     /// Ground truth at the nodes, by the path tracer, and what it took.

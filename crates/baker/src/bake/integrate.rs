@@ -8,7 +8,8 @@
 //! Where to look is learned on the way. Some of the uniform directions of all nodes go first; what they met tells each
 //! replicate of each node its [`Outlook`], from all of them but its own: so no direction's density depends on that
 //! direction's light, and each replicate is unbiased. Against directions by the sky's light alone, noise in the box at 1024
-//! directions per node fell from 4.3 to 2.0 % (soft) and from 3.3 to 1.6 % (stiff).
+//! directions per node fell from 3.3 to 2.5 % (soft) and from 2.6 to 1.7 % (stiff), with as many replicates
+//! (`tools/calibration`).
 //!
 //! A constant is taken out of the noise: B_lm = 4π/N Σ w_i Y_lm(ω_i) is known to be √4π δ_l0, so what it is off by
 //! tells what L_lm is off by. Control variate (Owen, "Monte Carlo theory, methods and examples", 2013, §8.9):
@@ -25,8 +26,8 @@ use crate::radiance::{Glance, GlanceSums, Guide, Outlook, PathContext, Radiance,
 use crate::sampling::{Sampler, Stream, fibonacci_sphere, uniform_sphere};
 
 /// Independent replicates per node. Few, because a long low-discrepancy sequence is worth more than short ones: in the box
-/// at 1024 directions 16, 8, 4 and 2 gave noise of 4.3, 3.9, 3.3 and 3.1 % (before outlooks). With 4 the standard error of one value has 3
-/// degrees of freedom; that of a node, over all its coefficients, is known to about 20 %.
+/// at 1024 directions 16, 8, 4 and 2 gave noise of 4.3, 3.9, 3.3 and 3.1 % (before outlooks). With 4 the standard error of
+/// one value has 3 degrees of freedom; that of a node rests on all its coefficients.
 pub const REPLICATES: u32 = 4;
 /// 95 % of what is estimated lie within so many of its standard errors: Student's t with one degree of freedom less than
 /// there are replicates.
@@ -145,10 +146,12 @@ struct First {
 }
 
 /// One node on its way.
-struct Course {
+struct Course<'a> {
+    place: &'a Place,
     context: PathContext,
     /// Of each replicate.
     firsts: Vec<Vec<First>>,
+    outlooks: Vec<Outlook>,
 }
 
 impl Integrator {
@@ -187,19 +190,19 @@ impl Integrator {
             courses.push(self.first_directions(place, first_round, replicates, &radiance)?);
         }
         let mut estimates = Vec::new();
-        for (number, place) in places.iter().enumerate() {
-            let outlooks = self.outlooks(guide, place.origin, number, &courses);
-            self.sums.clear(replicates as usize);
+        for number in 0..places.len() {
+            courses[number].outlooks = self.outlooks(guide, number, &courses);
             let course = &mut courses[number];
+            self.sums.clear(replicates as usize);
             let (mut done, mut target) = (0, first_round);
             let mut last: Option<NodeEstimate> = None;
             let estimate = loop {
                 for replicate in 0..replicates {
                     let range = [done, target].map(|samples| share(samples, replicates, replicate));
-                    self.sample(guide, place, &outlooks[replicate as usize], replicate, range, course, &radiance)?;
+                    self.sample(guide, course, replicate, range, &radiance)?;
                 }
                 done = target;
-                let mut estimate = self.estimate(place, &course.context, done);
+                let mut estimate = self.estimate(course, done);
                 if let Some(last) = &last {
                     estimate.temper(last);
                 }
@@ -215,15 +218,16 @@ impl Integrator {
     }
 
     /// Sends the first uniform directions of a node.
-    fn first_directions(
+    fn first_directions<'a>(
         &self,
-        place: &Place,
+        place: &'a Place,
         samples: u64,
         replicates: u32,
         radiance: &impl Fn(Vec3, Vec3, &mut PathContext) -> Option<Radiance>,
-    ) -> Result<Course, Interrupted> {
+    ) -> Result<Course<'a>, Interrupted> {
         let context = PathContext::new(place.sequence.stream(0, Technique::Uniform));
-        let mut course = Course { context, firsts: vec![Vec::new(); replicates as usize] };
+        let firsts = vec![Vec::new(); replicates as usize];
+        let mut course = Course { place, context, firsts, outlooks: Vec::new() };
         if !self.settings.importance {
             return Ok(course);
         }
@@ -247,7 +251,8 @@ impl Integrator {
     }
 
     /// Of each replicate of a node: from the first directions of all nodes, but for its own.
-    fn outlooks(&self, guide: &Guide, origin: Vec3, number: usize, courses: &[Course]) -> Vec<Outlook> {
+    fn outlooks(&self, guide: &Guide, number: usize, courses: &[Course]) -> Vec<Outlook> {
+        let origin = courses[number].place.origin;
         if !self.settings.importance {
             return courses[number].firsts.iter().map(|_| guide.uniform_outlook()).collect();
         }
@@ -275,36 +280,35 @@ impl Integrator {
     }
 
     /// Samples `range` of one replicate, in which its techniques have their quotas.
-    #[expect(clippy::too_many_arguments, reason = "the state of a node")]
     fn sample(
         &mut self,
         guide: &Guide,
-        place: &Place,
-        outlook: &Outlook,
+        course: &mut Course,
         replicate: u32,
         range: [u32; 2],
-        course: &mut Course,
         radiance: &impl Fn(Vec3, Vec3, &mut PathContext) -> Option<Radiance>,
     ) -> Result<(), Interrupted> {
+        let Course { place, context, firsts, outlooks } = course;
+        let (outlook, firsts) = (&outlooks[replicate as usize], &firsts[replicate as usize]);
         let rounding = place.sequence.rounding(replicate);
         let [from, to] = range.map(|samples| quotas(outlook.shares(), samples, rounding));
-        course.context.replicate = Some(replicate);
+        context.replicate = Some(replicate);
         for technique in Technique::ALL {
-            course.context.stream = place.sequence.stream(replicate, technique);
+            context.stream = place.sequence.stream(replicate, technique);
             for sample in from[technique as usize]..to[technique as usize] {
-                let first = course.firsts[replicate as usize].get(sample as usize);
+                let first = firsts.get(sample as usize);
                 let (direction, weight, arriving) = match first.filter(|_| technique == Technique::Uniform) {
                     Some(First { glance, arriving }) => {
                         (glance.direction, guide.weight(outlook, place.origin, glance.direction), *arriving)
                     }
                     None => {
-                        course.context.sample = sample;
-                        let point = course.context.point(0);
+                        context.sample = sample;
+                        let point = context.point(0);
                         let (direction, weight) = guide.propose(outlook, technique, place.origin, point);
                         if weight == 0.0 {
                             continue;
                         }
-                        let arriving = radiance(place.origin, direction, &mut course.context).ok_or(Interrupted)?;
+                        let arriving = radiance(place.origin, direction, context).ok_or(Interrupted)?;
                         (direction, weight, arriving)
                     }
                 };
@@ -315,7 +319,7 @@ impl Integrator {
     }
 
     /// Fills what is uncovered, and sums up.
-    fn estimate(&mut self, place: &Place, context: &PathContext, samples: u64) -> NodeEstimate {
+    fn estimate(&self, Course { place, context, .. }: &Course, samples: u64) -> NodeEstimate {
         let count = sh::coefficient_count(self.settings.bands);
         let known = &place.known;
         let mut uncovered = 0.0;

@@ -472,17 +472,8 @@ fn sun_in_one_pixel(table: &mut Table) {
         let mut worst = [[(0.0f64, ""); 2]; 2];
         let mut firefly = 0.0f64;
         for width in [64usize, 512] {
-            let height = width / 2;
-            for (place, x, y) in [
-                ("middle", width / 3, height / 3),
-                ("horizon", width / 2, height / 2),
-                ("north pole", 5, 0),
-                ("south pole", width / 2, height - 1),
-                ("left of the seam", 0, height / 2),
-                ("right of the seam", width - 1, height / 4),
-            ] {
-                let mut image = panorama(width, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
-                image.pixels_mut()[y * width + x] = [sun, 0.9 * sun, 0.7 * sun];
+            for (place, x, y) in sun_places(width) {
+                let image = sky_with_sun(width, [x, y], sun);
                 let truth = exact_sh(&image, 2);
                 let sky = distant(image);
                 for (i, samples) in [1024, 2048].into_iter().enumerate() {
@@ -914,13 +905,7 @@ fn weigh(rule: BlendRule, views: &[View]) -> Vec<f32> {
 
 fn continuity(table: &mut Table) {
     let scene = plane();
-    let probes = [
-        single([-5.0, 1.0, 2.0], 16, [1.0, 0.0, 0.0]),
-        single([-1.5, -2.0, 1.0], 32, [0.0, 1.0, 0.0]),
-        single([1.0, 3.0, 3.0], 16, [0.0, 0.0, 1.0]),
-        single([4.0, -1.0, 0.7], 64, [1.0, 1.0, 0.0]),
-        single([7.0, 2.0, 5.0], 16, [0.0, 1.0, 1.0]),
-    ];
+    let probes = unlike_probes();
     for rule in [BlendRule::Distance(2.0), BlendRule::AngularSmooth(2.0), BlendRule::Footprint(4.0)] {
         let function = Gdibl::new(&scene, &probes, None, GdiblSettings { blend: rule, ..GdiblSettings::default() });
         let largest_step = |count: u32| {

@@ -9,8 +9,8 @@
 use glam::Vec3;
 use std::f64::consts::PI;
 
-use super::Panorama;
 use super::tiles::{Cell, TileChoice, Tiles, choose};
+use super::{Panorama, brightness};
 
 /// Density over directions, built once per panorama.
 #[derive(Debug, Clone)]
@@ -41,7 +41,7 @@ impl Importance {
         let (width, height) = (panorama.width(), panorama.height());
         let cosine = |row: usize| (PI * (0.5 - (row as f64 + 0.5) / height as f64)).cos() as f32;
         let light = panorama.pixels().iter().enumerate();
-        let light = light.map(|(i, p)| (p[0] + p[1] + p[2]) / 3.0 * cosine(i / width)).collect();
+        let light = light.map(|(i, pixel)| brightness(pixel) * cosine(i / width)).collect();
         let tiles = Tiles::new(width, height);
         let columns = vec![0.0; (height + 1) * (width + tiles.across())];
         let mut importance = Importance {

@@ -40,6 +40,11 @@ pub use mapping::{Mapping, guess_from_aspect};
 pub use sun::{Sun, take_out_sun};
 pub use tiles::{TileChoice, Tiles};
 
+/// Mean of R, G and B.
+pub(crate) fn brightness(rgb: &[f32; 3]) -> f32 {
+    (rgb[0] + rgb[1] + rgb[2]) / 3.0
+}
+
 /// A lat-long panorama in gdibl's orientation; see the module for the mapping.
 #[derive(Debug, Clone)]
 pub struct Panorama {

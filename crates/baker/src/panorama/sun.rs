@@ -17,7 +17,7 @@ use glam::Vec3;
 use std::collections::{BTreeSet, HashSet, VecDeque};
 use std::f64::consts::PI;
 
-use super::Panorama;
+use super::{Panorama, brightness};
 
 /// No part of a sun is farther than this from its middle, radians: 2.5°. The sun itself has 0.27°; clipped and veiled ones
 /// look larger.
@@ -48,7 +48,7 @@ pub fn take_out_sun(panorama: &Panorama) -> Option<(Sun, Panorama)> {
     let search = Search::new(panorama);
     let best = search.brightest_cluster()?;
     let all: f64 = search.irradiance(best.sun.direction, |index| search.brightness[index]);
-    if f64::from(mean(best.sun.irradiance.to_array())) < NOTABLE * all {
+    if f64::from(brightness(&best.sun.irradiance.to_array())) < NOTABLE * all {
         return None;
     }
     let mut rest = panorama.clone();
@@ -56,10 +56,6 @@ pub fn take_out_sun(panorama: &Panorama) -> Option<(Sun, Panorama)> {
         rest.pixels_mut()[index] = light;
     }
     Some((best.sun, rest))
-}
-
-fn mean(rgb: [f32; 3]) -> f32 {
-    (rgb[0] + rgb[1] + rgb[2]) / 3.0
 }
 
 /// A cluster, and what its pixels show once it is gone.
@@ -83,7 +79,7 @@ impl<'a> Search<'a> {
         let pixel = PI as f32 / height as f32;
         Search {
             panorama,
-            brightness: panorama.pixels().iter().map(|rgb| mean(*rgb)).collect(),
+            brightness: panorama.pixels().iter().map(brightness).collect(),
             solid_angles: (0..height).map(|row| solid_angle(panorama.width(), height, row)).collect(),
             radius: RADIUS.max(RADIUS_PIXELS * pixel),
         }
@@ -106,7 +102,7 @@ impl<'a> Search<'a> {
             }
             if let Some(found) = found {
                 found.behind.iter().for_each(|(index, _)| spent[*index] = true);
-                let given = |cluster: &Cluster| mean(cluster.sun.irradiance.to_array());
+                let given = |cluster: &Cluster| brightness(&cluster.sun.irradiance.to_array());
                 if best.as_ref().is_none_or(|best| given(&found) > given(best)) {
                     best = Some(found);
                 }
@@ -126,7 +122,7 @@ impl<'a> Search<'a> {
             return None;
         }
         let behind: Vec<(usize, [f32; 3])> = cluster.iter().map(|&index| (index, self.behind(index, &rim))).collect();
-        let taken = |(index, behind): &(usize, [f32; 3])| (*index, self.brightness[*index] - mean(*behind));
+        let taken = |(index, behind): &(usize, [f32; 3])| (*index, self.brightness[*index] - brightness(behind));
         let direction = self.middle(behind.iter().map(taken))?;
         let mut irradiance = [0.0f64; 3];
         let (mut total, mut brightest) = (0.0, 0.0f32);
@@ -135,8 +131,8 @@ impl<'a> Search<'a> {
                 self.solid_angles[index / self.panorama.width()] * f64::from(self.direction(*index).dot(direction));
             let pixel = self.panorama.pixels()[*index];
             (0..3).for_each(|c| irradiance[c] += facing * f64::from(pixel[c] - light[c]));
-            total += facing * f64::from(self.brightness[*index] - mean(*light));
-            brightest = brightest.max(self.brightness[*index] - mean(*light));
+            total += facing * f64::from(self.brightness[*index] - brightness(light));
+            brightest = brightest.max(self.brightness[*index] - brightness(light));
         }
         let disc = total / f64::from(brightest);
         let sun = Sun {

@@ -15,7 +15,8 @@ mod sky;
 use glam::Vec3;
 
 use crate::sampling::Stream;
-use crate::trace::Frame;
+use crate::scene::Scene;
+use crate::trace::{Frame, Hit, Surfaces};
 pub use guide::{Guide, Technique, UNIFORM_SHARE};
 pub use outlook::{Glance, GlanceSums, Outlook};
 pub use seen::Seen;
@@ -52,6 +53,19 @@ pub trait RadianceFunction: Sync {
 
 /// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
 const MAX_LAYERS: u32 = 64;
+
+/// The nearest surface along a ray (trace space) that shows itself: what lets half through or more does not.
+fn shown_surface(scene: &Scene, surfaces: &Surfaces, origin: Vec3, direction: Vec3) -> Option<Hit> {
+    let mut passed = 0.0;
+    for _ in 0..MAX_LAYERS {
+        let hit = surfaces.closest(scene, origin, direction, passed, f32::INFINITY)?;
+        if hit.opacity > 0.5 {
+            return Some(hit);
+        }
+        passed = hit.t;
+    }
+    None
+}
 
 /// Radiance that arrives along a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]

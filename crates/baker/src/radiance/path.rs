@@ -14,7 +14,7 @@ use super::emitters::{Receiver, bright_triangles, solid_angle_density};
 use super::guide::Guide;
 use super::punctual::{Arriving, Punctual};
 use super::sky::{Distant, Sky};
-use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
+use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen, shown_surface};
 use crate::Finding;
 use crate::sampling::cosine_hemisphere;
 use crate::scene::{Role, Scene};
@@ -92,16 +92,7 @@ impl<'a> Path<'a> {
 
     /// The nearest surface along a ray (trace space) that shows itself: what lets half through or more does not.
     pub fn surface(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        let surfaces = self.surfaces.as_ref()?;
-        let mut passed = 0.0;
-        for _ in 0..MAX_LAYERS {
-            let hit = surfaces.closest(self.scene, origin, direction, passed, f32::INFINITY)?;
-            if hit.opacity > 0.5 {
-                return Some(hit);
-            }
-            passed = hit.t;
-        }
-        None
+        shown_surface(self.scene, self.surfaces.as_ref()?, origin, direction)
     }
 
     /// The hit is on the back of a single-sided triangle: who sees it stands in a solid, or outside of the level.

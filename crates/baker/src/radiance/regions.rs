@@ -19,7 +19,8 @@ use std::f64::consts::PI;
 
 use super::emitters::Emitter;
 use super::gdibl::{PlacedProbe, Probe};
-use crate::panorama::Panorama;
+use super::shown_surface;
+use crate::panorama::{Panorama, brightness};
 use crate::scene::Scene;
 use crate::trace::{Frame, Hit, Surfaces};
 
@@ -311,19 +312,10 @@ impl<'a> Search<'a> {
         self.to_trace * DVec3::new(sin * latitude.cos(), latitude.sin(), cos * latitude.cos()).as_vec3()
     }
 
-    /// The surface that the probe shows there: what lets half through or more does not.
+    /// The surface that the probe shows there.
     fn meet(&self, direction: Vec3) -> Option<Hit> {
         let Surroundings { scene, environment, placed, .. } = self.around;
-        let origin = placed[self.own].position;
-        let mut passed = 0.0;
-        for _ in 0..super::MAX_LAYERS {
-            let hit = environment.closest(scene, origin, direction, passed, f32::INFINITY)?;
-            if hit.opacity > 0.5 {
-                return Some(hit);
-            }
-            passed = hit.t;
-        }
-        None
+        shown_surface(scene, environment, placed[self.own].position, direction)
     }
 
     /// Corners of a block on the plane of `middle`, if what the probe shows in the block lies on it.
@@ -411,10 +403,6 @@ impl<'a> Search<'a> {
         !is_left
             && environment.transmittance(scene, environment.leave(place), probe.position, Some(place.triangle)) > 0.5
     }
-}
-
-fn brightness(pixel: &[f32; 3]) -> f32 {
-    (pixel[0] + pixel[1] + pixel[2]) / 3.0
 }
 
 #[cfg(test)]

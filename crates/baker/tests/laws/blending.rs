@@ -9,13 +9,7 @@ use crate::level::*;
 #[test]
 fn blended_light_is_continuous_over_a_plane_where_the_rule_promises_it() {
     let scene = plane();
-    let probes = [
-        single([-5.0, 1.0, 2.0], 16, [1.0, 0.0, 0.0]),
-        single([-1.5, -2.0, 1.0], 32, [0.0, 1.0, 0.0]),
-        single([1.0, 3.0, 3.0], 16, [0.0, 0.0, 1.0]),
-        single([4.0, -1.0, 0.7], 64, [1.0, 1.0, 0.0]),
-        single([7.0, 2.0, 5.0], 16, [0.0, 1.0, 1.0]),
-    ];
+    let probes = unlike_probes();
     let viewer = DVec3::new(0.3, -4.0, 2.5);
     // The largest step of the light along a line, in `count` steps.
     let largest_step = |rule, count: u32| {

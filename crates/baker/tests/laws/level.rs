@@ -241,6 +241,37 @@ pub fn difference(found: &[f32], expected: &[f32]) -> f64 {
     largest / rms(expected)
 }
 
+/// Where a sun of one pixel is hard to find: name, column, row, in a panorama of `width` × half of it.
+pub fn sun_places(width: usize) -> [(&'static str, usize, usize); 6] {
+    let height = width / 2;
+    [
+        ("middle", width / 3, height / 3),
+        ("horizon", width / 2, height / 2),
+        ("north pole", 5, 0),
+        ("south pole", width / 2, height - 1),
+        ("left of the seam", 0, height / 2),
+        ("right of the seam", width - 1, height / 4),
+    ]
+}
+
+/// A sky with one bright pixel.
+pub fn sky_with_sun(width: usize, [x, y]: [usize; 2], sun: f32) -> Panorama {
+    let mut image = panorama(width, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
+    image.pixels_mut()[y * width + x] = [sun, 0.9 * sun, 0.7 * sun];
+    image
+}
+
+/// Five probes of unlike colours and sizes before [`plane`].
+pub fn unlike_probes() -> [Probe; 5] {
+    [
+        single([-5.0, 1.0, 2.0], 16, [1.0, 0.0, 0.0]),
+        single([-1.5, -2.0, 1.0], 32, [0.0, 1.0, 0.0]),
+        single([1.0, 3.0, 3.0], 16, [0.0, 0.0, 1.0]),
+        single([4.0, -1.0, 0.7], 64, [1.0, 1.0, 0.0]),
+        single([7.0, 2.0, 5.0], 16, [0.0, 1.0, 1.0]),
+    ]
+}
+
 pub const SMALL: BakeSettings = BakeSettings {
     bands: 2,
     samples: 512,

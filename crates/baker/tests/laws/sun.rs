@@ -30,18 +30,9 @@ fn sun_in_one_pixel_is_found_wherever_it_stands() {
     let nodes = [DVec3::ZERO; 24];
     let mut table = Vec::new();
     for width in [64, 512] {
-        let height = width / 2;
-        for (place, x, y) in [
-            ("middle", width / 3, height / 3),
-            ("horizon", width / 2, height / 2),
-            ("north pole", 5, 0),
-            ("south pole", width / 2, height - 1),
-            ("seam, left", 0, height / 2),
-            ("seam, right", width - 1, height / 4),
-        ] {
+        for (place, x, y) in sun_places(width) {
             for sun in [1e5, 1e9] {
-                let mut image = panorama(width, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
-                image.pixels_mut()[y * width + x] = [sun, 0.9 * sun, 0.7 * sun];
+                let image = sky_with_sun(width, [x, y], sun);
                 let truth = exact_sh(&image, 2);
                 let sky = distant(image);
                 let function = gdibl(&scene, &[], Some(&sky));

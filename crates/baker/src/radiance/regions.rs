@@ -25,15 +25,15 @@ use crate::scene::Scene;
 use crate::trace::{Frame, Hit, Surfaces};
 
 /// How many times the mean radiance of the surfaces that its probe shows a place must have to be bright. What is less
-/// bright is wider, too, and nodes learn to look there. At 4, the box (soft) had 1905 regions, 1024 directions per node
-/// 3.3 % noise instead of 2.7 %, and took a tenth more time; at 16 it has none.
+/// bright is wider, too, and nodes learn to look there. At 4, the box (soft, 1024 directions, `tools/calibration`) had 1905
+/// regions, 3.3 % noise instead of 2.7 %, and took a tenth more time; at 16 it has none.
 const BRIGHT: f64 = 16.0;
 /// What regions of a probe must add to the noise of uniform directions to be worth others: mean square of their radiance
 /// over the surfaces, by the square of the mean. About what the rest of a level adds: noise² × directions was 0.3 to 0.9
 /// in the box and two Cornell boxes.
 const WORTH: f64 = 0.25;
 /// Weight of regions per share that they have of the light in a probe, and the least: nodes may be nearer. With all of the
-/// emitters' directions, sun patches of the box (stiff, 0.7 times what noise is worth) took more than they gave: noise of
+/// emitters' directions, sun patches of the box (stiff, `tools/calibration`) took more than they gave: noise of
 /// a node at 1024 directions was 2.52 % without them, 2.57 with a weight of 1, 2.25 with 0.25 and 2.19 with 0.1. Lamps
 /// with a tenth of their room's light want a weight near 1.
 const WEIGHT: f32 = 8.0;

@@ -359,8 +359,9 @@ pub fn clamp(quality: &QualityFlags) -> Result<f32, Fault> {
     }
 }
 
-/// How the probes' light is computed. `captured`: they were captured for want of others.
-pub fn gdibl_settings(quality: &QualityFlags, captured: bool) -> GdiblSettings {
+/// How the probes' light is computed. `captured`: they were captured for want of others. `directions`: those that will leave
+/// nodes, all together, 0 where there are none.
+pub fn gdibl_settings(quality: &QualityFlags, captured: bool, directions: u64) -> GdiblSettings {
     let defaults = GdiblSettings::default();
     GdiblSettings {
         blend: quality.blend.unwrap_or(defaults.blend),
@@ -368,6 +369,7 @@ pub fn gdibl_settings(quality: &QualityFlags, captured: bool) -> GdiblSettings {
         emission_from_materials: captured,
         walks: quality.samples.map_or(defaults.walks, GdiblSettings::walks_beside),
         seed: quality.seed.unwrap_or(defaults.seed),
+        directions,
     }
 }
 

@@ -48,6 +48,16 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
             1 => PlanRow::new("blending", false, "one probe: its pixels count alone"),
             n => PlanRow::new("blending", true, format!("{} of {n} probes", function.blend_rule())),
         },
+        match function.remembered_count() {
+            _ if environment == 0 || probes == 0 => PlanRow::new("surface-light", false, "no probe shows a surface"),
+            _ if !function.blend_rule().is_seamless() => PlanRow::new(
+                "surface-light",
+                false,
+                format!("by {} it differs from node to node", function.blend_rule()),
+            ),
+            0 => PlanRow::new("surface-light", false, "no surface is hit often enough to remember its light"),
+            n => PlanRow::new("surface-light", true, format!("what probes show of {n} triangles is remembered")),
+        },
         match (function.has_distant(), probes) {
             (true, _) => PlanRow::new("distant", true, "rays that hit nothing read the distant panorama"),
             (false, 0) => PlanRow::new("distant", false, "no distant panorama and no probe"),

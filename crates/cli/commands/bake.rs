@@ -104,7 +104,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let job = Job { nodes: &nodes, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
     let (plan, baked) = match method {
         Method::Gdibl => {
-            let gdibl = gdibl_settings(&config.quality, inputs.captured);
+            let gdibl = gdibl_settings(&config.quality, inputs.captured, settings.directions(nodes.len() as u64));
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
             let plan = [vec![capture], plan::plan(&inputs.scene, &function)].concat();
             if arguments.plan {

@@ -149,7 +149,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let job = Job { volume: volume.as_ref(), camera: &camera, settings: &settings, cancel: &cancel };
     let picture = match method {
         Method::Gdibl => {
-            let settings = gdibl_settings(&config.quality, inputs.captured);
+            let settings = gdibl_settings(&config.quality, inputs.captured, 0);
             job.render(
                 &Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), settings),
                 arguments.run.quiet,

@@ -69,7 +69,9 @@ pub struct Ladder<'a> {
 impl Runner<'_> {
     /// The probes' function.
     pub fn gdibl(&self, method: Method, samples: u64, seed: u64) -> Gdibl<'_> {
-        let own = gdibl_settings(&self.config.quality, self.inputs.captured);
+        let settings = BakeSettings { samples, ..self.settings.clone() };
+        let directions = settings.directions(self.nodes.len() as u64);
+        let own = gdibl_settings(&self.config.quality, self.inputs.captured, directions);
         let blend = if let Method::Blend(rule) = method { rule } else { own.blend };
         let settings = GdiblSettings { blend, seed, walks: GdiblSettings::walks_beside(samples), ..own };
         Gdibl::new(&self.inputs.scene, &self.inputs.probes, self.inputs.distant.as_ref(), settings)
@@ -84,7 +86,7 @@ impl Runner<'_> {
     pub fn circumstances(&self) -> Circumstances {
         Circumstances {
             probes: self.inputs.probes.len(),
-            blend: gdibl_settings(&self.config.quality, self.inputs.captured).blend,
+            blend: gdibl_settings(&self.config.quality, self.inputs.captured, 0).blend,
             sampler: self.settings.sampler,
             light: self.inputs.has_light(),
         }

@@ -67,6 +67,12 @@ impl BakeSettings {
     pub const TARGET_SAMPLES: u64 = 65_536;
     /// The most samples of one node.
     pub const MAX_SAMPLES: u64 = 1 << 31;
+
+    /// Directions that will leave so many nodes, about: with a target, as many as without one by default.
+    pub fn directions(&self, nodes: u64) -> u64 {
+        let usual = BakeSettings::default().samples;
+        nodes.saturating_mul(if self.target_error.is_some() { self.samples.min(usual) } else { self.samples })
+    }
 }
 
 /// A baked volume in memory. Per-node arrays are in node order.

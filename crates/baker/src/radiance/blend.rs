@@ -37,7 +37,8 @@ pub struct View {
     pub distance: f32,
     /// Cosine between the surface normal and the direction to the probe, 0..=1.
     pub cosine: f32,
-    /// Angle at x_e between the directions to the probe and to the node, radians 0..=π.
+    /// Angle at x_e between the directions to the probe and to the node, radians 0..=π; of no account to a
+    /// [seamless](BlendRule::is_seamless) rule.
     pub angle: f32,
     /// Pixels of the probe's panorama.
     pub pixels: f32,
@@ -52,6 +53,11 @@ impl BlendRule {
             BlendRule::Angular(_) | BlendRule::AngularSmooth(_) | BlendRule::Nearest => 1.0 / view.angle,
             BlendRule::Footprint(_) => view.pixels * view.cosine / (view.distance * view.distance),
         }
+    }
+
+    /// Weights depend on the surface point alone, not on where the node stands: its radiance is the same for all nodes.
+    pub fn is_seamless(&self) -> bool {
+        matches!(self, BlendRule::Distance(_) | BlendRule::Footprint(_))
     }
 
     /// How many of the best probes can have a weight at all.

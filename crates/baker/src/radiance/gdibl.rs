@@ -15,6 +15,7 @@ use super::guide::Guide;
 use super::punctual::Punctual;
 use super::regions::{Regions, Surroundings, bright_regions};
 use super::sky::{Distant, Sky};
+use super::surface_light::SurfaceLight;
 use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
@@ -65,6 +66,8 @@ pub struct GdiblSettings {
     pub walks: u32,
     /// Of the random walks that find what scene geometry does to the environment; the bake's.
     pub seed: u64,
+    /// Directions that will leave nodes, all together, about: what they ask for again and again is remembered. 0: nothing is.
+    pub directions: u64,
 }
 
 impl Default for GdiblSettings {
@@ -75,6 +78,7 @@ impl Default for GdiblSettings {
             emission_from_materials: false,
             walks: 64,
             seed: 0,
+            directions: 0,
         }
     }
 }
@@ -144,6 +148,7 @@ pub struct Gdibl<'a> {
     punctual: Punctual,
     settings: GdiblSettings,
     effects: Option<EffectCache>,
+    remembered: Option<SurfaceLight>,
 }
 
 /// What a ray meets.
@@ -189,6 +194,10 @@ impl<'a> Gdibl<'a> {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment, settings.walks)),
             _ => None,
         };
+        let remembered = environment
+            .as_ref()
+            .filter(|_| settings.directions > 0 && settings.blend.is_seamless())
+            .and_then(|environment| SurfaceLight::new(environment, &placed, settings.directions));
         let mut emitters = bright_triangles(scene, &environment.iter().chain(&objects).collect::<Vec<_>>());
         let is_emissive = emitters.iter().any(|own| !own.is_empty());
         let mut regions = Regions::default();
@@ -216,6 +225,7 @@ impl<'a> Gdibl<'a> {
             punctual: Punctual::new(scene, &frame),
             settings,
             effects,
+            remembered,
         }
     }
 
@@ -237,6 +247,11 @@ impl<'a> Gdibl<'a> {
     /// The rule in force.
     pub fn blend_rule(&self) -> BlendRule {
         self.settings.blend
+    }
+
+    /// Triangles whose light is remembered.
+    pub fn remembered_count(&self) -> usize {
+        self.remembered.as_ref().map_or(0, SurfaceLight::triangle_count)
     }
 
     /// What rays do at scene geometry.
@@ -346,7 +361,13 @@ impl<'a> Gdibl<'a> {
 
     /// 3. Environment geometry: what it sends out itself, if that is known, and what probes have seen of it.
     fn environment_radiance(&self, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
-        let mut seen = self.blended_radiance(hit, viewer, context);
+        let remembered = match (&self.remembered, &self.environment) {
+            (Some(light), Some(environment)) => {
+                light.lookup(environment, hit, |knot| self.blended_radiance(knot, viewer, context))
+            }
+            _ => None,
+        };
+        let mut seen = remembered.unwrap_or_else(|| self.blended_radiance(hit, viewer, context));
         if self.settings.emission_from_materials
             && let Some(environment) = &self.environment
         {
@@ -362,6 +383,7 @@ impl<'a> Gdibl<'a> {
         // Candidates stand on the side from which the ray came.
         scratch.candidates.clear();
         let to_viewer = viewer - hit.position;
+        let seamless = self.settings.blend.is_seamless();
         for (index, probe) in self.placed.iter().enumerate() {
             let to_probe = probe.position - hit.position;
             let height = hit.normal.dot(to_probe);
@@ -370,7 +392,10 @@ impl<'a> Gdibl<'a> {
                 let view = View {
                     distance,
                     cosine: height / distance,
-                    angle: to_probe.cross(to_viewer).length().atan2(to_probe.dot(to_viewer)),
+                    angle: match seamless {
+                        true => 0.0,
+                        false => to_probe.cross(to_viewer).length().atan2(to_probe.dot(to_viewer)),
+                    },
                     pixels: probe.pixels,
                 };
                 scratch.candidates.push((self.settings.blend.merit(&view), index as u32));

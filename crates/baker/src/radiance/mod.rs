@@ -11,6 +11,7 @@ mod punctual;
 mod regions;
 mod seen;
 mod sky;
+mod surface_light;
 
 use glam::Vec3;
 

@@ -10,6 +10,7 @@ mod level;
 mod light;
 mod paths;
 mod regions;
+mod remembered;
 mod render;
 mod statistics;
 mod sun;

@@ -1,0 +1,124 @@
+//! What a bake costs by the number of probes, and what remembering the light of surfaces saves and changes.
+//!
+//! `cargo run --release -p gdibl-tools --bin bake_bench -- LEVEL.glb [NODES [SAMPLES [SKY.hdr]]]`: captures 64 small probes
+//! of the level (lit by its own lamps and SKY), and bakes NODES nodes (1000) on a lattice with
+//! SAMPLES directions each (the default).
+
+use gdibl_baker::Control;
+use gdibl_baker::bake::{BakeSettings, Baked, Nodes};
+use gdibl_baker::capture::{CaptureSettings, PlaceSettings, capture, place_probes};
+use gdibl_baker::panorama::{Mapping, to_lat_long};
+use gdibl_baker::radiance::Distant;
+use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
+use gdibl_baker::radiance::path::{Path as PathTracer, PathSettings};
+use gdibl_tools::{bake_all, read_panorama, read_scene};
+use glam::{DVec3, Quat};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+/// Of each captured probe, pixels.
+const WIDTH: usize = 128;
+const PROBES: usize = 64;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let Some(level) = arguments.first() else {
+        eprintln!("usage: bake_bench LEVEL.glb [NODES [SAMPLES [SKY.hdr]]]");
+        std::process::exit(2);
+    };
+    let number = |i: usize, or| arguments.get(i).map_or(or, |s| s.parse().expect("a number"));
+    let (nodes, samples) = (number(1, 1000), number(2, BakeSettings::default().samples));
+    let scene = read_scene(Path::new(level));
+    let distant = arguments.get(3).map(|path| Distant {
+        name: path.clone(),
+        rotation: Quat::IDENTITY,
+        exposure_stops: 0.0,
+        panorama: read_panorama(Path::new(path)),
+        without_sun: None,
+    });
+    let (min, max) = scene.bounds(|_| true).expect("a level with triangles");
+    let path = PathTracer::new(&scene, distant.as_ref(), PathSettings::default());
+    let places = place_probes(&path, (min, max), &PlaceSettings { most: PROBES, gain: 0.0 }).positions;
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let settings = CaptureSettings { width: WIDTH, samples: 128, emission: false, ..CaptureSettings::default() };
+    let probes: Vec<Probe> = places
+        .iter()
+        .enumerate()
+        .map(|(i, &position)| Probe {
+            name: i.to_string(),
+            position,
+            rotation: Quat::IDENTITY,
+            exposure_stops: 0.0,
+            panorama: to_lat_long(
+                &capture(&path, position, i as u64, &settings, &control).expect("nobody interrupts").image,
+                Mapping::LatLong,
+                None,
+            ),
+        })
+        .collect();
+    println!(
+        "{} triangles, {} probes of {WIDTH} x {}",
+        scene.meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
+        probes.len(),
+        WIDTH / 2
+    );
+
+    let side = (nodes as f64).cbrt().round() as u32;
+    let share = |i: u32| (f64::from(i) + 0.5) / f64::from(side);
+    let places = (0..side.pow(3)).map(|i| DVec3::new(share(i % side), share(i / side % side), share(i / side / side)));
+    let nodes = Nodes::Points(places.map(|share| min + (max - min) * share).collect());
+    let run = |probes: &[Probe], directions: u64, importance: bool| {
+        let start = Instant::now();
+        let settings = GdiblSettings { emission_from_materials: true, directions, ..GdiblSettings::default() };
+        let function = Gdibl::new(&scene, probes, distant.as_ref(), settings);
+        let baked = bake_all(&function, &nodes, &BakeSettings { samples, importance, ..BakeSettings::default() });
+        (baked, start.elapsed().as_secs_f64())
+    };
+    let directions = nodes.len() as u64 * samples;
+    println!("| probes | light of surfaces | s | of that found anew | rays per direction | relative error | differs |");
+    println!("|---|---|---|---|---|---|---|");
+    for count in [3, probes.len()] {
+        let probes = &probes[..count];
+        let mut first = 0.0;
+        for (words, directions) in [("found anew", 0), ("remembered", directions)] {
+            let (baked, seconds) = run(probes, directions, true);
+            if directions == 0 {
+                first = seconds;
+            }
+            let valid = baked.relative_error.iter().zip(&baked.valid).filter(|(_, valid)| **valid);
+            let noise = rms(valid.map(|(error, _)| f64::from(*error)));
+            // With the same uniform directions: importance learns from what it sees, and then looks elsewhere.
+            let difference = match directions {
+                0 => 0.0,
+                n => rms(differences(&run(probes, 0, false).0, &run(probes, n, false).0).into_iter()),
+            };
+            println!(
+                "| {count} | {words} | {seconds:.2} | {:.2} | {:.2} | {:.2} % | {:.3} % |",
+                seconds / first,
+                baked.rays as f64 / baked.samples as f64,
+                100.0 * noise,
+                100.0 * difference
+            );
+        }
+    }
+}
+
+/// Of each valid node: RMS of the difference of coefficients, as they count in E, over the RMS of the first.
+fn differences(a: &Baked, b: &Baked) -> Vec<f64> {
+    let cosine = [1.0, 2.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0, 0.25, 0.25, 0.25, 0.25, 0.25];
+    let norm = |of: &dyn Fn(usize) -> f64| (0..27).map(|i| (of(i) * cosine[i / 3]).powi(2)).sum::<f64>().sqrt();
+    (0..a.valid.len())
+        .filter(|&n| a.valid[n] && b.valid[n])
+        .map(|n| {
+            let (x, y) = (a.node(n), b.node(n));
+            norm(&|i| f64::from(x[i] - y[i])) / norm(&|i| f64::from(x[i])).max(f64::MIN_POSITIVE)
+        })
+        .collect()
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    values.for_each(|v| (sum, count) = (sum + v * v, count + 1.0));
+    (sum / f64::max(count, 1.0)).sqrt()
+}

@@ -1,0 +1,309 @@
+//! How close the runtime's samples and its parsing come to what the machine can do, as two Markdown tables.
+//!
+//! `cargo run --release -p gdibl-tools --bin runtime_bench`; half a minute. Volumes are made here: L2, f16, grids.
+//!
+//! Samples, of 64 MB: `Volume::irradiance` with a normal, against two floors measured at the same places.
+//! * **floor**: finds the cell and blends the 8 × 27 halves in AVX with the processor's own f16 conversion (f16c).
+//! * **touch**: finds the cell and adds up the 8 × 27 raw words. Nothing that reads them can be faster.
+//!
+//! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes.
+//!
+//! All that is compared takes turns in short rounds. What is printed are medians: of a round's time, and of the ratio of
+//! times within a round.
+
+#![allow(unsafe_code, reason = "calls functions compiled for f16c and AVX, once the processor is known to have them")]
+
+use gdibl_baker::sampling::fibonacci_sphere;
+use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units};
+use gdibl_runtime::{Limits, Volume};
+use std::hint::black_box;
+use std::time::Instant;
+
+/// Values of an L2 node.
+const VALUES: usize = 27;
+/// Bytes of a node.
+const NODE_BYTES: usize = 2 * VALUES;
+/// Samples per round: few enough that a disturbance spoils one round, and of other places than the rounds around it.
+const BATCH: usize = 4096;
+/// Rounds of samples, each at places of its own.
+const BATCHES: usize = 240;
+/// Metres between samples along a path, where nodes are one metre apart: a frame's way at 3 m/s.
+const STEP: f32 = 0.05;
+/// Rounds of parsing.
+const PARSES: usize = 15;
+
+/// Position and normal.
+type Place = ([f32; 3], [f32; 3]);
+/// What is done at places.
+type Work<'a> = &'a dyn Fn(&[Place]);
+
+fn main() {
+    println!("| L2 f16 samples, 64 MB | irradiance / floor | irradiance / touch | irradiance | floor | touch |");
+    println!("|---|---|---|---|---|---|");
+    let counts = counts_of(64_000_000);
+    let bytes = file(counts);
+    let volume = Volume::parse(&bytes).expect("a volume");
+    let floor = Floor::new(&bytes);
+    for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
+        let irradiance = |places: &[Place]| {
+            let mut sum = [0.0; 3];
+            for (position, normal) in places {
+                let found = volume.irradiance(*position, *normal);
+                (0..3).for_each(|c| sum[c] += found[c]);
+            }
+            black_box(sum);
+        };
+        let [sample, blend, touch] = sampling_rounds(
+            &places,
+            [&irradiance, &|places: &[Place]| floor.blend(places), &|places: &[Place]| floor.touch(places)],
+        );
+        println!(
+            "| {name} | {:.2} | {:.2} | {:.1} ns | {:.1} ns | {:.1} ns |",
+            median_ratio(&sample, &blend),
+            median_ratio(&sample, &touch),
+            median(&sample),
+            median(&blend),
+            median(&touch)
+        );
+    }
+
+    let bytes = file(counts_of(100_000_000));
+    let mut target = vec![0; bytes.len()];
+    let mut seconds: [Vec<f64>; 3] = Default::default();
+    for _ in 0..PARSES {
+        seconds[0].push(time(|| drop(black_box(Volume::parse(&bytes).expect("a volume")))));
+        seconds[1].push(time(|| black_box(&mut target).copy_from_slice(&bytes)));
+        seconds[2].push(time(|| _ = black_box(format::crc32(&bytes))));
+    }
+    let [parse, copy, crc32] = &seconds;
+    let rate = |seconds: &[f64]| 1e-9 * bytes.len() as f64 / median(seconds);
+    println!();
+    println!(
+        "| parsing, {:.1} MB raw | parse / copy | parse / crc32 | parse | copy | crc32 |",
+        1e-6 * bytes.len() as f64
+    );
+    println!("|---|---|---|---|---|---|");
+    println!(
+        "| times, and GB/s | {:.2} | {:.2} | {:.2} GB/s | {:.2} GB/s | {:.2} GB/s |",
+        median_ratio(parse, copy),
+        median_ratio(parse, crc32),
+        rate(parse),
+        rate(copy),
+        rate(crc32)
+    );
+}
+
+/// Nanoseconds per sample of each of three, round by round. In a round each has other places, so that none finds in the
+/// cache what another has fetched; over all rounds each has them all.
+fn sampling_rounds(places: &[Place], run: [Work; 3]) -> [Vec<f64>; 3] {
+    let batches: Vec<&[Place]> = places.chunks_exact(BATCH).collect();
+    let mut nanoseconds: [Vec<f64>; 3] = Default::default();
+    for round in 0..batches.len() {
+        for (k, run) in run.iter().enumerate() {
+            let batch = batches[(round + k * batches.len() / 3) % batches.len()];
+            nanoseconds[k].push(1e9 * time(|| run(batch)) / BATCH as f64);
+        }
+    }
+    nanoseconds
+}
+
+fn time(run: impl FnOnce()) -> f64 {
+    let start = Instant::now();
+    run();
+    start.elapsed().as_secs_f64()
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+fn median_ratio(above: &[f64], below: &[f64]) -> f64 {
+    median(&above.iter().zip(below).map(|(a, b)| a / b).collect::<Vec<f64>>())
+}
+
+/// Nodes per axis of a cube of so many bytes.
+fn counts_of(bytes: usize) -> u32 {
+    (bytes as f64 / NODE_BYTES as f64).cbrt().round() as u32
+}
+
+/// A grid of nodes one metre apart, of arbitrary values: f16 below 2 of all exponents and both signs.
+fn file(counts: u32) -> Vec<u8> {
+    let mut random = Random(1);
+    let nodes = counts as usize * counts as usize * counts as usize;
+    let section: Vec<u8> = (0..nodes * VALUES).flat_map(|_| (random.bits() as u16 & 0xbbff).to_le_bytes()).collect();
+    let header = Header {
+        kind: Kind::Grid,
+        counts: [counts; 3],
+        bands: 2,
+        encoding: Encoding::F16,
+        scale: 0.5,
+        units: Units::Radiance,
+        min: [0.0; 3],
+        max: [f64::from(counts - 1); 3],
+    };
+    let size = section.len() as u64;
+    let mut entries = [SectionEntry {
+        id: RADIANCE,
+        codec: Codec::Raw,
+        filter: Filter::None,
+        offset: 0,
+        stored_size: size,
+        raw_size: size,
+        crc32: format::crc32(&section),
+    }];
+    format::place_sections(&mut entries);
+    let mut bytes = format::directory_to_bytes(&header, &entries);
+    bytes.resize(entries[0].offset as usize, 0);
+    bytes.extend(section);
+    bytes
+}
+
+fn random_places(counts: u32) -> Vec<Place> {
+    let mut random = Random(2);
+    let positions = (0..BATCHES * BATCH).map(|_| [(); 3].map(|()| random.unit() * (counts - 1) as f32));
+    with_normals(positions)
+}
+
+/// A smooth curve which fills the box.
+fn path(counts: u32) -> Vec<Place> {
+    let radius = 0.5 * (counts - 1) as f32;
+    let positions = (0..BATCHES * BATCH).map(|i| {
+        // Mean speed of the three sines together: about 1.5 radii per unit of time.
+        let time = i as f64 * f64::from(STEP / (1.5 * radius));
+        [1.0, 1.237, 0.871].map(|speed| radius * (1.0 + (speed * time).sin() as f32))
+    });
+    with_normals(positions)
+}
+
+fn with_normals(positions: impl Iterator<Item = [f32; 3]>) -> Vec<Place> {
+    let normals: Vec<[f32; 3]> = fibonacci_sphere(1021).iter().map(|n| n.to_array()).collect();
+    positions.zip(normals.iter().copied().cycle()).collect()
+}
+
+/// The numbers of a volume, node by node, and the least that can be done with them.
+struct Floor {
+    /// With a few zeros at the end, so that the last node can be read in whole vectors.
+    halves: Vec<u16>,
+    counts: u32,
+}
+
+impl Floor {
+    fn new(file: &[u8]) -> Floor {
+        let directory = format::parse_header_and_sections(file).expect("a volume");
+        let section = directory.section_bytes(RADIANCE, &Limits::default()).expect("a volume").expect("radiance");
+        let nodes = directory.header.node_count();
+        let mut halves = vec![0; nodes * VALUES + 32 - VALUES];
+        for (place, element) in section.as_chunks::<2>().0.iter().enumerate() {
+            halves[place % nodes * VALUES + place / nodes] = u16::from_le_bytes(*element);
+        }
+        Floor { halves, counts: directory.header.counts[0] }
+    }
+
+    /// Where the halves of the eight nodes around a position begin, and their trilinear weights. Knows that nodes lie one
+    /// metre apart, from the origin.
+    #[inline(always)]
+    fn locate(&self, position: [f32; 3]) -> ([usize; 8], [f32; 8]) {
+        let lower = position.map(|v| (v as u32).min(self.counts - 2));
+        let [x, y, z] = lower.map(|v| v as usize);
+        let [u, v, w] = [0, 1, 2].map(|axis| position[axis] - lower[axis] as f32);
+        let (row, layer) = (VALUES * self.counts as usize, VALUES * self.counts as usize * self.counts as usize);
+        let first = x * VALUES + y * row + z * layer;
+        let starts = [0, VALUES, row, row + VALUES].map(|start| first + start);
+        let [a, b, c, d] = starts;
+        let [p, q, r, s] = [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v];
+        let n = 1.0 - w;
+        (
+            [a, b, c, d, a + layer, b + layer, c + layer, d + layer],
+            [p * n, q * n, r * n, s * n, p * w, q * w, r * w, s * w],
+        )
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    fn blend(&self, places: &[Place]) {
+        assert_processor();
+        // SAFETY: the processor has what the function was compiled for.
+        unsafe { self.blend_f16c(places) }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    fn touch(&self, places: &[Place]) {
+        assert_processor();
+        // SAFETY: as above.
+        unsafe { self.touch_avx2(places) }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma,f16c")]
+    fn blend_f16c(&self, places: &[Place]) {
+        use std::arch::x86_64::*;
+        let mut total = [_mm256_setzero_ps(); 4];
+        for (position, _) in places {
+            let (starts, weights) = self.locate(*position);
+            let mut sum = [_mm256_setzero_ps(); 4];
+            for (start, weight) in starts.into_iter().zip(weights) {
+                let halves = &self.halves[start..start + 32];
+                let weight = _mm256_set1_ps(weight);
+                for (k, sum) in sum.iter_mut().enumerate() {
+                    // SAFETY: reads 8 halves of the slice's 32, wherever they lie.
+                    let eight = unsafe { _mm_loadu_si128(halves.as_ptr().add(8 * k).cast()) };
+                    *sum = _mm256_fmadd_ps(_mm256_cvtph_ps(eight), weight, *sum);
+                }
+            }
+            for (total, sum) in total.iter_mut().zip(sum) {
+                *total = _mm256_add_ps(*total, sum);
+            }
+        }
+        black_box(total);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn touch_avx2(&self, places: &[Place]) {
+        let mut total = [0u16; 32];
+        for (position, _) in places {
+            for start in self.locate(*position).0 {
+                for (total, half) in total.iter_mut().zip(&self.halves[start..start + 32]) {
+                    *total = total.wrapping_add(*half);
+                }
+            }
+        }
+        black_box(total);
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    fn blend(&self, places: &[Place]) {
+        panic!("no floor for {} places: it is written for x86-64 alone", places.len());
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    fn touch(&self, places: &[Place]) {
+        black_box(places.iter().map(|(position, _)| self.locate(*position)).last());
+        black_box(&self.halves);
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+fn assert_processor() {
+    let [avx2, fma, f16c] =
+        [is_x86_feature_detected!("avx2"), is_x86_feature_detected!("fma"), is_x86_feature_detected!("f16c")];
+    assert!(avx2 && fma && f16c, "the floors need AVX2, FMA and f16c");
+}
+
+/// xorshift64* of Marsaglia and Vigna.
+struct Random(u64);
+
+impl Random {
+    fn bits(&mut self) -> u32 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        (self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 32) as u32
+    }
+
+    /// 0 to 1.
+    fn unit(&mut self) -> f32 {
+        (self.bits() >> 8) as f32 / (1 << 24) as f32
+    }
+}

@@ -16,6 +16,7 @@
 use gdibl_baker::sampling::fibonacci_sphere;
 use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units};
 use gdibl_runtime::{Limits, Volume};
+use half::f16;
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -128,17 +129,19 @@ fn counts_of(bytes: usize) -> u32 {
     (bytes as f64 / NODE_BYTES as f64).cbrt().round() as u32
 }
 
-/// A grid of nodes one metre apart, of arbitrary values: f16 below 2 of all exponents and both signs.
+/// A grid of nodes one metre apart, of values evenly between -1 and 1, stored as the baker would: the largest just below
+/// half of f16's largest number.
 fn file(counts: u32) -> Vec<u8> {
     let mut random = Random(1);
     let nodes = counts as usize * counts as usize * counts as usize;
-    let section: Vec<u8> = (0..nodes * VALUES).flat_map(|_| (random.bits() as u16 & 0xbbff).to_le_bytes()).collect();
+    let mut stored = || f16::from_f32(32_767.0 * (2.0 * random.unit() - 1.0));
+    let section: Vec<u8> = (0..nodes * VALUES).flat_map(|_| stored().to_le_bytes()).collect();
     let header = Header {
         kind: Kind::Grid,
         counts: [counts; 3],
         bands: 2,
         encoding: Encoding::F16,
-        scale: 0.5,
+        scale: (-15f32).exp2(),
         units: Units::Radiance,
         min: [0.0; 3],
         max: [f64::from(counts - 1); 3],

@@ -503,7 +503,16 @@ impl<'a> Directory<'a> {
         if entry.raw_size > limits.max_bytes {
             return Err(over_limit(&entry.place(), entry.raw_size, limits));
         }
-        codec::decode(&self.header, entry, self.checked_bytes(entry)?).map(Some)
+        self.check_crc32(entry)?;
+        self.checked_section_bytes(id)
+    }
+
+    /// The same, once [`check_contents`](Directory::check_contents) has passed.
+    pub(crate) fn checked_section_bytes(&self, id: [u8; 4]) -> Result<Option<Cow<'a, [u8]>>, Error> {
+        let Some(entry) = self.section(id) else {
+            return Ok(None);
+        };
+        codec::decode(&self.header, entry, self.stored_bytes(entry)).map(Some)
     }
 
     /// Compares the checksum of every section, also of those nobody reads.
@@ -513,14 +522,17 @@ impl<'a> Directory<'a> {
         if total > limits.max_bytes {
             return Err(over_limit("section table", total, limits));
         }
-        self.sections.iter().try_for_each(|entry| self.checked_bytes(entry).map(|_| ()))
+        self.sections.iter().try_for_each(|entry| self.check_crc32(entry))
     }
 
-    fn checked_bytes(&self, entry: &SectionEntry) -> Result<&'a [u8], Error> {
+    fn stored_bytes(&self, entry: &SectionEntry) -> &'a [u8] {
         // `parse_header_and_sections` has seen that these are within the file.
         let start = entry.offset as usize;
-        let stored = &self.bytes[start..start + entry.stored_size as usize];
-        let found = crc32(stored);
+        &self.bytes[start..start + entry.stored_size as usize]
+    }
+
+    fn check_crc32(&self, entry: &SectionEntry) -> Result<(), Error> {
+        let found = crc32(self.stored_bytes(entry));
         if found != entry.crc32 {
             return Err(Error::invalid(
                 entry.place(),
@@ -528,7 +540,7 @@ impl<'a> Directory<'a> {
                 format!("{:08x}, as written: the file is damaged", entry.crc32),
             ));
         }
-        Ok(stored)
+        Ok(())
     }
 }
 

@@ -67,8 +67,14 @@ impl Grid {
     ///
     /// Every position has an answer: outside the box that of the nearest position in it, and a coordinate that is no
     /// number counts as the box's min.
-    #[inline]
     pub fn locate(&self, position: [f64; 3]) -> Cell {
+        let (nodes, weights) = self.corners(position);
+        Cell { nodes, weights, inside: box_contains(self.min, self.max, position) }
+    }
+
+    /// Nodes and weights of [`locate`](Grid::locate).
+    #[inline]
+    pub(crate) fn corners(&self, position: [f64; 3]) -> ([u32; 8], [f32; 8]) {
         let mut lower = [0; 3];
         let mut higher = [0; 3];
         let mut share = [0.0; 3];
@@ -98,11 +104,7 @@ impl Grid {
             };
             along(0) * along(1) * along(2)
         };
-        Cell {
-            nodes: core::array::from_fn(index),
-            weights: core::array::from_fn(weight),
-            inside: box_contains(self.min, self.max, position),
-        }
+        (core::array::from_fn(index), core::array::from_fn(weight))
     }
 }
 

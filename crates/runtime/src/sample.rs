@@ -12,10 +12,12 @@
 //! Every input has an answer: a coordinate that is no number counts as the box's min.
 
 use crate::grid::box_contains;
-use crate::half::f16_to_f32;
+use crate::half::plain_f16_to_scaled_f32;
 use crate::math::square_root;
-use crate::volume::Coefficients;
+use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
+use crate::volume::{Coefficients, SUBNORMAL, VALID};
 use crate::{Cell, Kind, RadianceSh, Volume};
+use alloc::vec::Vec;
 
 /// The share of the eight nodes' weights that must be valid for the others to be left out.
 pub const LEAST_VALID: f32 = 1e-6;
@@ -58,9 +60,23 @@ impl Volume {
     }
 
     /// What falls on a surface: `diffuse = albedo / PI * irradiance`. Not clamped, see
-    /// [`IrradianceSh::evaluate`](crate::IrradianceSh::evaluate).
+    /// [`IrradianceSh::evaluate`](crate::IrradianceSh::evaluate). The same as `sample(position, normal).sh.convolve()
+    /// .evaluate(normal)` but for rounding, in less time.
     pub fn irradiance(&self, position: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
-        self.sample(position, normal).sh.convolve().evaluate(normal)
+        match self.header.kind {
+            Kind::Grid => {
+                let (nodes, weights) = self.header.grid().corners(position.map(f64::from));
+                let (weights, _) = self.valid_weights(&nodes, weights);
+                match self.header.bands {
+                    0 => irradiance(0, &self.blend::<4>(&nodes, &weights), normal),
+                    1 => irradiance(1, &self.blend::<12>(&nodes, &weights), normal),
+                    2 => irradiance(2, &self.blend::<28>(&nodes, &weights), normal),
+                    3 => irradiance(3, &self.blend::<48>(&nodes, &weights), normal),
+                    _ => irradiance(4, &self.blend::<76>(&nodes, &weights), normal),
+                }
+            }
+            Kind::Points | Kind::Vertices => self.sample(position, normal).sh.convolve().evaluate(normal),
+        }
     }
 
     /// The point or vertex that [`sample_f64`](Volume::sample_f64) answers with, however far it is; None in a grid, which
@@ -70,52 +86,64 @@ impl Volume {
     }
 
     fn sample_grid(&self, cell: &Cell) -> Sample {
-        let mut weights = cell.weights;
-        let mut validity = 1.0;
-        if let Some(valid) = &self.validity {
-            // Weights of valid nodes alone, and what is left of 1.
-            let masked: [f32; 8] = core::array::from_fn(|k| weights[k] * f32::from(valid[cell.nodes[k] as usize]));
-            validity = masked.iter().sum::<f32>().min(1.0);
-            if validity < LEAST_VALID {
-                validity = 0.0;
-            } else {
-                let scale = 1.0 / validity;
-                weights = masked.map(|weight| weight * scale);
-            }
-        }
+        let (weights, validity) = self.valid_weights(&cell.nodes, cell.weights);
         let mut sh = RadianceSh::zero(self.header.bands);
-        let out = sh.coefficients.as_flattened_mut();
-        // A loop of known length per number of bands: the compiler unrolls it into SIMD.
+        let values = sh.coefficients.as_flattened_mut();
         match self.header.bands {
-            0 => self.blend::<3>(&cell.nodes, &weights, out),
-            1 => self.blend::<12>(&cell.nodes, &weights, out),
-            2 => self.blend::<27>(&cell.nodes, &weights, out),
-            3 => self.blend::<48>(&cell.nodes, &weights, out),
-            _ => self.blend::<75>(&cell.nodes, &weights, out),
+            0 => values[..3].copy_from_slice(&self.blend::<4>(&cell.nodes, &weights)[..3]),
+            1 => values[..12].copy_from_slice(&self.blend::<12>(&cell.nodes, &weights)[..12]),
+            2 => values[..27].copy_from_slice(&self.blend::<28>(&cell.nodes, &weights)[..27]),
+            3 => values[..48].copy_from_slice(&self.blend::<48>(&cell.nodes, &weights)[..48]),
+            _ => values[..75].copy_from_slice(&self.blend::<76>(&cell.nodes, &weights)[..75]),
         }
         Sample { sh, validity, inside: cell.inside }
     }
 
-    /// The weighted sum of the `N` values of eight nodes.
-    fn blend<const N: usize>(&self, nodes: &[u32; 8], weights: &[f32; 8], out: &mut [f32]) {
-        let mut sum = [0.0; N];
-        for (&node, &weight) in nodes.iter().zip(weights) {
-            let start = node as usize * N;
-            match &self.coefficients {
-                Coefficients::F32(all) => {
-                    for (sum, &value) in sum.iter_mut().zip(&all[start..start + N]) {
+    /// The weights of valid nodes alone, which add up to 1 again, and the share of 1 that they were.
+    #[inline(always)]
+    fn valid_weights(&self, nodes: &[u32; 8], weights: [f32; 8]) -> ([f32; 8], f32) {
+        let Some(marks) = &self.marks else {
+            return (weights, 1.0);
+        };
+        let masked: [f32; 8] = core::array::from_fn(|k| weights[k] * f32::from(marks[nodes[k] as usize] & VALID));
+        let validity = masked.iter().sum::<f32>().min(1.0);
+        if validity < LEAST_VALID {
+            return (weights, 0.0);
+        }
+        let scale = 1.0 / validity;
+        (masked.map(|weight| weight * scale), validity)
+    }
+
+    /// The weighted sum of the values of eight nodes.
+    ///
+    /// `N` is the number of values per node, and one more where that is odd: so rows are read in whole vectors of four.
+    /// The one more is of no meaning.
+    #[inline(never)]
+    fn blend<const N: usize>(&self, nodes: &[u32; 8], weights: &[f32; 8]) -> [f32; N] {
+        let count = N / 3 * 3;
+        match &self.coefficients {
+            Coefficients::F16(all) if !self.any_subnormal(nodes) => {
+                const TWO_TO_112: f32 = f32::from_bits((112 + 127) << 23);
+                let rows = nodes.map(|node| all[node as usize * count..].first_chunk().expect("one value at the end"));
+                blend_plain(rows, weights.map(|weight| weight * TWO_TO_112), self.header.scale)
+            }
+            _ => {
+                let mut sum = [0.0; N];
+                for (&node, weight) in nodes.iter().zip(weights) {
+                    let node = self.node_sh(node as usize);
+                    for (sum, value) in sum.iter_mut().zip(node.coefficients.as_flattened()) {
                         *sum += weight * value;
                     }
                 }
-                Coefficients::F16(all) => {
-                    let weight = weight * self.header.scale;
-                    for (sum, &bits) in sum.iter_mut().zip(&all[start..start + N]) {
-                        *sum += weight * f16_to_f32(bits);
-                    }
-                }
+                sum
             }
         }
-        out[..N].copy_from_slice(&sum);
+    }
+
+    #[inline]
+    fn any_subnormal(&self, nodes: &[u32; 8]) -> bool {
+        let mark = |marks: &Vec<u8>| nodes.iter().fold(0, |any, &node| any | marks[node as usize]);
+        self.marks.as_ref().is_some_and(|marks| mark(marks) & SUBNORMAL != 0)
     }
 
     /// The nearest point or vertex.
@@ -146,4 +174,35 @@ impl Volume {
         });
         best.1
     }
+}
+
+/// The weighted sum of rows of f16 that are all zero or normal, times `scale`.
+#[inline(always)]
+fn blend_plain<const N: usize>(rows: [&[u16; N]; 8], weights: [f32; 8], scale: f32) -> [f32; N] {
+    let mut out = [0.0; N];
+    for (k, out) in out.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+        let mut sum = [0.0; 4];
+        for (row, weight) in rows.iter().zip(weights) {
+            for (lane, sum) in sum.iter_mut().enumerate() {
+                *sum += weight * plain_f16_to_scaled_f32(row[4 * k + lane]);
+            }
+        }
+        *out = sum.map(|value| value * scale);
+    }
+    out
+}
+
+/// `convolve().evaluate(normal)` of radiance, RGB per coefficient.
+#[inline(always)]
+fn irradiance<const N: usize>(bands: u32, radiance: &[f32; N], normal: [f32; 3]) -> [f32; 3] {
+    let mut factors = [0.0; MAX_COEFFICIENTS];
+    basis(bands, normal, &mut factors);
+    let mut sum = [0.0; 3];
+    for (index, value) in radiance.as_chunks::<3>().0.iter().enumerate() {
+        let factor = COSINE_OF[index] * factors[index];
+        for c in 0..3 {
+            sum[c] += value[c] * factor;
+        }
+    }
+    sum
 }

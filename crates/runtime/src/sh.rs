@@ -28,7 +28,7 @@ pub const Y00: f32 = 0.282_094_79;
 pub const COSINE: [f32; 5] = [PI, 2.0 * PI / 3.0, PI / 4.0, 0.0, -PI / 24.0];
 
 /// [`COSINE`] for each coefficient.
-const COSINE_OF: [f32; MAX_COEFFICIENTS] = {
+pub(crate) const COSINE_OF: [f32; MAX_COEFFICIENTS] = {
     let mut factors = [0.0; MAX_COEFFICIENTS];
     let mut index = 0;
     while index < MAX_COEFFICIENTS {

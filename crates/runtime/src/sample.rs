@@ -129,13 +129,19 @@ impl Volume {
             }
             _ => {
                 let mut sum = [0.0; N];
-                for (&node, weight) in nodes.iter().zip(weights) {
-                    let node = self.node_sh(node as usize);
-                    for (sum, value) in sum.iter_mut().zip(node.coefficients.as_flattened()) {
-                        *sum += weight * value;
-                    }
-                }
+                self.blend_any(nodes, weights, &mut sum);
                 sum
+            }
+        }
+    }
+
+    /// The same of whatever numbers.
+    #[inline(never)]
+    fn blend_any(&self, nodes: &[u32; 8], weights: &[f32; 8], sum: &mut [f32]) {
+        for (&node, weight) in nodes.iter().zip(weights) {
+            let node = self.node_sh(node as usize);
+            for (sum, value) in sum.iter_mut().zip(node.coefficients.as_flattened()) {
+                *sum += weight * value;
             }
         }
     }

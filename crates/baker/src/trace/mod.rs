@@ -4,6 +4,8 @@
 //! the origin and scales it by a power of two to about a thousand units, so that a dolls' house and a city, at
 //! the origin or a thousand kilometres away, are traced alike.
 
+mod collapse;
+mod simd;
 mod tree;
 mod triangle;
 
@@ -200,12 +202,15 @@ impl Surfaces {
     }
 
     fn clear_share(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_max: f32, ignore: u32) -> f32 {
+        if !self.any_clear {
+            return f32::from(!self.tree.is_hit(origin, direction, 0.0, t_max, ignore));
+        }
         let mut clear = 1.0;
         self.tree.any(origin, direction, 0.0, t_max, |hit| {
             if hit.triangle == ignore {
                 return true;
             }
-            clear *= if self.any_clear { 1.0 - self.opacity(scene, hit) } else { 0.0 };
+            clear *= 1.0 - self.opacity(scene, hit);
             clear > 0.0
         });
         clear

@@ -1,20 +1,28 @@
-//! Ray against four triangles at once, watertight.
+//! Ray against a block of triangles at once, watertight.
 //!
 //! Based on: Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013. The ray is sheared so
 //! that it runs along +z from the origin; a triangle is hit where its three 2-D edge functions have one sign. An
 //! edge shared by two triangles gives the same number in both (no fused multiply-add), so no ray slips between;
 //! an edge function that is exactly zero is computed again in f64. Both sides block.
+//!
+//! Here for any processor; `simd` does the same operations in the same order, and returns the same bits.
 
 use glam::Vec3;
 
-/// Lanes of a block. Leaves of the tree are whole blocks.
-pub const LANES: usize = 4;
+use super::tree::TreeHit;
 
-/// Four triangles, one coordinate per row: `corners[corner][axis][lane]`. Empty lanes hold NaN, which no test
-/// accepts.
+/// Lanes of a block. Leaves of the tree are whole blocks.
+pub const LANES: usize = 8;
+
+/// One number per lane.
+pub type Lanes = [f32; LANES];
+
+/// Triangles side by side, one coordinate per row: `corners[corner][axis][lane]`. Empty lanes hold NaN, which no
+/// test accepts.
 #[derive(Debug, Clone)]
+#[repr(C, align(64))]
 pub struct TriangleBlock {
-    corners: [[[f32; LANES]; 3]; 3],
+    pub corners: [[Lanes; 3]; 3],
     /// Which triangle a lane holds; `u32::MAX` where empty.
     pub id: [u32; LANES],
 }
@@ -37,15 +45,16 @@ impl TriangleBlock {
 /// A ray prepared for triangle tests: axes permuted so that the longest direction component comes last.
 #[derive(Debug, Clone, Copy)]
 pub struct ShearedRay {
-    origin: [f32; 3],
-    axes: [usize; 3],
-    shear: [f32; 3],
+    pub origin: [f32; 3],
+    pub axes: [usize; 3],
+    pub shear: [f32; 3],
 }
 
 impl ShearedRay {
     /// `direction` need not be a unit vector; t counts in its lengths.
+    #[inline(always)]
     pub fn new(origin: Vec3, direction: Vec3) -> Self {
-        let size = direction.abs();
+        let (origin, size, direction) = (origin.to_array(), direction.abs(), direction.to_array());
         let kz = if size.x > size.y && size.x > size.z {
             0
         } else if size.y > size.z {
@@ -54,7 +63,9 @@ impl ShearedRay {
             2
         };
         // Keep the winding: swap the other two where the ray runs backwards.
-        let (kx, ky) = if direction[kz] < 0.0 { ((kz + 2) % 3, (kz + 1) % 3) } else { ((kz + 1) % 3, (kz + 2) % 3) };
+        let next = [1, 2, 0, 1][kz];
+        let after = [1, 2, 0, 1][kz + 1];
+        let (kx, ky) = if direction[kz] < 0.0 { (after, next) } else { (next, after) };
         ShearedRay {
             origin: [origin[kx], origin[ky], origin[kz]],
             axes: [kx, ky, kz],
@@ -62,9 +73,9 @@ impl ShearedRay {
         }
     }
 
-    /// Tests the four triangles. Returns t per lane (+infinity where missed) and the weights of corners 1 and 2.
+    /// The hits of the line on which the ray lies, t of any sign, lane by lane.
     #[inline(always)]
-    pub fn intersect(&self, block: &TriangleBlock) -> BlockHit {
+    pub fn intersect(&self, block: &TriangleBlock) -> impl Iterator<Item = TreeHit> {
         let [kx, ky, kz] = self.axes;
         let [sx, sy, sz] = self.shear;
         // Sheared corners: x and y per corner, and z scaled to ray lengths.
@@ -80,52 +91,59 @@ impl ShearedRay {
                 z[corner][lane] = sz * depth;
             }
         }
-        let mut u = [0.0f32; LANES];
-        let mut v = [0.0f32; LANES];
-        let mut w = [0.0f32; LANES];
+        let mut edges = Edges::default();
         let mut zero = false;
         for lane in 0..LANES {
-            u[lane] = x[2][lane] * y[1][lane] - y[2][lane] * x[1][lane];
-            v[lane] = x[0][lane] * y[2][lane] - y[0][lane] * x[2][lane];
-            w[lane] = x[1][lane] * y[0][lane] - y[1][lane] * x[0][lane];
-            zero |= u[lane] == 0.0 || v[lane] == 0.0 || w[lane] == 0.0;
+            edges.u[lane] = x[2][lane] * y[1][lane] - y[2][lane] * x[1][lane];
+            edges.v[lane] = x[0][lane] * y[2][lane] - y[0][lane] * x[2][lane];
+            edges.w[lane] = x[1][lane] * y[0][lane] - y[1][lane] * x[0][lane];
+            zero |= edges.u[lane] == 0.0 || edges.v[lane] == 0.0 || edges.w[lane] == 0.0;
         }
         if zero {
-            for lane in 0..LANES {
-                if u[lane] == 0.0 || v[lane] == 0.0 || w[lane] == 0.0 {
-                    let edge = |a: usize, b: usize| {
-                        (f64::from(x[a][lane]) * f64::from(y[b][lane]) - f64::from(y[a][lane]) * f64::from(x[b][lane]))
-                            as f32
-                    };
-                    u[lane] = edge(2, 1);
-                    v[lane] = edge(0, 2);
-                    w[lane] = edge(1, 0);
-                }
-            }
+            edges.recheck(&x, &y);
         }
-        let mut hit = BlockHit { t: [f32::INFINITY; LANES], v: [0.0; LANES], w: [0.0; LANES] };
+        let Edges { u, v, w } = edges;
+        let mut met = [false; LANES];
         for lane in 0..LANES {
-            let lowest = u[lane].min(v[lane]).min(w[lane]);
-            let highest = u[lane].max(v[lane]).max(w[lane]);
-            let determinant = u[lane] + v[lane] + w[lane];
-            let scaled = u[lane] * z[0][lane] + v[lane] * z[1][lane] + w[lane] * z[2][lane];
-            let inside = (lowest >= 0.0 || highest <= 0.0) && determinant != 0.0;
-            let reciprocal = 1.0 / determinant;
-            hit.t[lane] = if inside { scaled * reciprocal } else { f32::INFINITY };
-            hit.v[lane] = v[lane] * reciprocal;
-            hit.w[lane] = w[lane] * reciprocal;
+            let (u, v, w) = (u[lane], v[lane], w[lane]);
+            met[lane] = ((u >= 0.0) & (v >= 0.0) & (w >= 0.0)) | ((u <= 0.0) & (v <= 0.0) & (w <= 0.0));
         }
-        hit
+        let hit = move |lane: usize| {
+            let (u, v, w) = (u[lane], v[lane], w[lane]);
+            let determinant = u + v + w;
+            let scaled = u * z[0][lane] + v * z[1][lane] + w * z[2][lane];
+            let reciprocal = 1.0 / determinant;
+            let hit =
+                TreeHit { t: scaled * reciprocal, triangle: block.id[lane], v: v * reciprocal, w: w * reciprocal };
+            (determinant != 0.0).then_some(hit)
+        };
+        (0..LANES).filter(move |lane| met[*lane]).filter_map(hit)
     }
 }
 
-/// What [`ShearedRay::intersect`] found, per lane.
-#[derive(Debug, Clone, Copy)]
-pub struct BlockHit {
-    /// Distance in lengths of the direction; +infinity where missed, NaN in an empty lane. May be negative.
-    pub t: [f32; LANES],
-    /// Weight of corner 1, 0..=1.
-    pub v: [f32; LANES],
-    /// Weight of corner 2, 0..=1.
-    pub w: [f32; LANES],
+/// The edge functions of a block: twice the areas of the triangles that the ray makes with each edge.
+#[derive(Debug, Default)]
+pub struct Edges {
+    /// Opposite corner 0, 1, 2.
+    pub u: Lanes,
+    pub v: Lanes,
+    pub w: Lanes,
+}
+
+impl Edges {
+    /// Where one is exactly zero: all three again, in f64, where the products of f32 are exact.
+    #[cold]
+    pub fn recheck(&mut self, x: &[Lanes; 3], y: &[Lanes; 3]) {
+        for lane in 0..LANES {
+            if self.u[lane] == 0.0 || self.v[lane] == 0.0 || self.w[lane] == 0.0 {
+                let edge = |a: usize, b: usize| {
+                    (f64::from(x[a][lane]) * f64::from(y[b][lane]) - f64::from(y[a][lane]) * f64::from(x[b][lane]))
+                        as f32
+                };
+                self.u[lane] = edge(2, 1);
+                self.v[lane] = edge(0, 2);
+                self.w[lane] = edge(1, 0);
+            }
+        }
+    }
 }

@@ -3,6 +3,7 @@
 //! 1.6e7 rays in all. The meshes are stored in f64 at world offsets to 1e6 m and scales 1e-3 to 1e5, as levels are.
 
 mod closed;
+mod twins;
 
 use closed::*;
 use gdibl_baker::sampling::{Sampler, Stream, uniform_sphere};
@@ -124,9 +125,10 @@ fn tree_finds_what_brute_force_in_f64_finds() {
         .into_par_iter()
         .map(|seed| {
             let triangles = soup(1 + 50 * seed as u32, seed);
-            let tree = Tree::build(&triangles);
+            let trees = [Tree::build(&triangles), Tree::build(&triangles).portable()];
             let mut compared = 0;
             for ray in 0..2000u32 {
+                let tree = &trees[ray as usize % 2];
                 let stream = Stream::new(Sampler::Random, 77, seed, ray);
                 let ([x, y], [z, _]) = (stream.point(0, 0), stream.point(0, 1));
                 let origin = Vec3::new(x, y, z) * 300.0 - 150.0;

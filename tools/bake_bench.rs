@@ -1,17 +1,17 @@
 //! What a bake costs by the number of probes, and what remembering the light of surfaces saves and changes.
 //!
-//! `cargo run --release -p gdibl-tools --bin bake_bench -- LEVEL.glb [NODES [SAMPLES [SKY.hdr]]]`: captures 64 small probes
-//! of the level (lit by its own lamps and SKY), and bakes NODES nodes (1000) on a lattice with
-//! SAMPLES directions each (the default).
+//! `cargo run --release -p gdibl-tools --bin bake_bench -- LEVEL.glb [NODES [SAMPLES [SKY.hdr]]]`: captures up to 64 small
+//! probes of the level (lit by its own lamps and SKY), and bakes NODES nodes (1000) on a lattice with SAMPLES directions each
+//! (as many as `gdibl bake` takes).
 
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes};
 use gdibl_baker::capture::{CaptureSettings, PlaceSettings, capture, place_probes};
 use gdibl_baker::panorama::{Mapping, to_lat_long};
-use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::radiance::path::{Path as PathTracer, PathSettings};
-use gdibl_tools::{bake_all, read_panorama, read_scene};
+use gdibl_runtime::sh;
+use gdibl_tools::{bake_all, read_distant, read_scene};
 use glam::{DVec3, Quat};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -30,13 +30,7 @@ fn main() {
     let number = |i: usize, or| arguments.get(i).map_or(or, |s| s.parse().expect("a number"));
     let (nodes, samples) = (number(1, 1000), number(2, BakeSettings::default().samples));
     let scene = read_scene(Path::new(level));
-    let distant = arguments.get(3).map(|path| Distant {
-        name: path.clone(),
-        rotation: Quat::IDENTITY,
-        exposure_stops: 0.0,
-        panorama: read_panorama(Path::new(path)),
-        without_sun: None,
-    });
+    let distant = arguments.get(3).map(|path| read_distant(Path::new(path)));
     let (min, max) = scene.bounds(|_| true).expect("a level with triangles");
     let path = PathTracer::new(&scene, distant.as_ref(), PathSettings::default());
     let places = place_probes(&path, (min, max), &PlaceSettings { most: PROBES, gain: 0.0 }).positions;
@@ -90,15 +84,17 @@ fn main() {
             let noise = rms(valid.map(|(error, _)| f64::from(*error)));
             // With the same uniform directions: importance learns from what it sees, and then looks elsewhere.
             let difference = match directions {
-                0 => 0.0,
-                n => rms(differences(&run(probes, 0, false).0, &run(probes, n, false).0).into_iter()),
+                0 => "-".to_owned(),
+                n => {
+                    let [anew, remembered] = [0, n].map(|directions| run(probes, directions, false).0);
+                    format!("{:.3} %", 100.0 * rms(differences(&anew, &remembered).into_iter()))
+                }
             };
             println!(
-                "| {count} | {words} | {seconds:.2} | {:.2} | {:.2} | {:.2} % | {:.3} % |",
+                "| {count} | {words} | {seconds:.2} | {:.2} | {:.2} | {:.2} % | {difference} |",
                 seconds / first,
                 baked.rays as f64 / baked.samples as f64,
-                100.0 * noise,
-                100.0 * difference
+                100.0 * noise
             );
         }
     }
@@ -106,8 +102,9 @@ fn main() {
 
 /// Of each valid node: RMS of the difference of coefficients, as they count in E, over the RMS of the first.
 fn differences(a: &Baked, b: &Baked) -> Vec<f64> {
-    let cosine = [1.0, 2.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0, 0.25, 0.25, 0.25, 0.25, 0.25];
-    let norm = |of: &dyn Fn(usize) -> f64| (0..27).map(|i| (of(i) * cosine[i / 3]).powi(2)).sum::<f64>().sqrt();
+    let cosine = |i: usize| f64::from(sh::COSINE[sh::band_of(i / 3)]);
+    let values = 0..3 * sh::coefficient_count(a.bands);
+    let norm = |of: &dyn Fn(usize) -> f64| values.clone().map(|i| (of(i) * cosine(i)).powi(2)).sum::<f64>().sqrt();
     (0..a.valid.len())
         .filter(|&n| a.valid[n] && b.valid[n])
         .map(|n| {

@@ -51,14 +51,18 @@ pub fn read_lighting(folder: &Path) -> (Vec<Probe>, Distant) {
         exposure_stops: 0.0,
         panorama: read_panorama(&folder.join(format!("probe_{i}.exr"))),
     });
-    let distant = Distant {
-        name: "distant.exr".into(),
+    (probes.collect(), read_distant(&folder.join("distant.exr")))
+}
+
+/// A distant panorama as it stands in its file.
+pub fn read_distant(path: &Path) -> Distant {
+    Distant {
+        name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         rotation: Quat::IDENTITY,
         exposure_stops: 0.0,
-        panorama: read_panorama(&folder.join("distant.exr")),
+        panorama: read_panorama(path),
         without_sun: None,
-    };
-    (probes.collect(), distant)
+    }
 }
 
 /// Bakes to the end.

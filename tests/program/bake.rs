@@ -225,7 +225,16 @@ fn plan_is_printed_and_nothing_is_written() {
     let folder = coloured_room();
     let before = folder.names();
     let text = folder.ok(&[&["bake"], &PROBES[..], &["--plan"]].concat());
-    for stage in ["textures", "environment", "lines-of-sight", "blending", "distant", "recursion", "transparency"] {
+    for stage in [
+        "textures",
+        "environment",
+        "lines-of-sight",
+        "blending",
+        "surface-light",
+        "distant",
+        "recursion",
+        "transparency",
+    ] {
         assert!(text.lines().any(|line| line.starts_with(stage)), "{stage} in\n{text}");
     }
     assert_eq!(folder.names(), before);

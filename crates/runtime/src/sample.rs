@@ -67,13 +67,7 @@ impl Volume {
             Kind::Grid => {
                 let (nodes, weights) = self.header.grid().corners(position.map(f64::from));
                 let (weights, _) = self.valid_weights(&nodes, weights);
-                match self.header.bands {
-                    0 => irradiance(0, &self.blend::<4>(&nodes, &weights), normal),
-                    1 => irradiance(1, &self.blend::<12>(&nodes, &weights), normal),
-                    2 => irradiance(2, &self.blend::<28>(&nodes, &weights), normal),
-                    3 => irradiance(3, &self.blend::<48>(&nodes, &weights), normal),
-                    _ => irradiance(4, &self.blend::<76>(&nodes, &weights), normal),
-                }
+                self.blended(&nodes, &weights, |bands, radiance| irradiance(bands, radiance, normal))
             }
             Kind::Points | Kind::Vertices => self.sample(position, normal).sh.convolve().evaluate(normal),
         }
@@ -88,14 +82,9 @@ impl Volume {
     fn sample_grid(&self, cell: &Cell) -> Sample {
         let (weights, validity) = self.valid_weights(&cell.nodes, cell.weights);
         let mut sh = RadianceSh::zero(self.header.bands);
-        let values = sh.coefficients.as_flattened_mut();
-        match self.header.bands {
-            0 => values[..3].copy_from_slice(&self.blend::<4>(&cell.nodes, &weights)[..3]),
-            1 => values[..12].copy_from_slice(&self.blend::<12>(&cell.nodes, &weights)[..12]),
-            2 => values[..27].copy_from_slice(&self.blend::<28>(&cell.nodes, &weights)[..27]),
-            3 => values[..48].copy_from_slice(&self.blend::<48>(&cell.nodes, &weights)[..48]),
-            _ => values[..75].copy_from_slice(&self.blend::<76>(&cell.nodes, &weights)[..75]),
-        }
+        self.blended(&cell.nodes, &weights, |_, radiance| {
+            sh.coefficients.as_flattened_mut()[..radiance.len()].copy_from_slice(radiance);
+        });
         Sample { sh, validity, inside: cell.inside }
     }
 
@@ -112,6 +101,19 @@ impl Volume {
         }
         let scale = 1.0 / validity;
         (masked.map(|weight| weight * scale), validity)
+    }
+
+    /// What `then(bands, values)` makes of the weighted sum of the values of eight nodes. One arm per number of bands, so that
+    /// the compiler knows all lengths.
+    #[inline(always)]
+    fn blended<R>(&self, nodes: &[u32; 8], weights: &[f32; 8], then: impl FnOnce(u32, &[f32]) -> R) -> R {
+        match self.header.bands {
+            0 => then(0, &self.blend::<4>(nodes, weights)[..3]),
+            1 => then(1, &self.blend::<12>(nodes, weights)),
+            2 => then(2, &self.blend::<28>(nodes, weights)[..27]),
+            3 => then(3, &self.blend::<48>(nodes, weights)),
+            _ => then(4, &self.blend::<76>(nodes, weights)[..75]),
+        }
     }
 
     /// The weighted sum of the values of eight nodes.
@@ -200,7 +202,7 @@ fn blend_plain<const N: usize>(rows: [&[u16; N]; 8], weights: [f32; 8], scale: f
 
 /// `convolve().evaluate(normal)` of radiance, RGB per coefficient.
 #[inline(always)]
-fn irradiance<const N: usize>(bands: u32, radiance: &[f32; N], normal: [f32; 3]) -> [f32; 3] {
+fn irradiance(bands: u32, radiance: &[f32], normal: [f32; 3]) -> [f32; 3] {
     let mut factors = [0.0; MAX_COEFFICIENTS];
     basis(bands, normal, &mut factors);
     let mut sum = [0.0; 3];

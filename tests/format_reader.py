@@ -118,8 +118,31 @@ class Volume:
         demand(all(map(math.isfinite, self.radiance)), "RSH : not finite")
         self.valid = self.numbers(b"VALD", "B", 1, False)
         demand(self.valid is None or max(self.valid) <= 1, "VALD: neither 0 nor 1")
+        self.read_walls()
         self.positions = self.numbers(b"POSN", "f", 3, self.kind != 0)
         self.normals = self.numbers(b"NORM", "f", 3, self.kind == 2)
+
+    def read_walls(self):
+        """Cells with walls: {lowest node: ([(normal, distance)], ends, masks)}."""
+        self.walls = None
+        data = self.sections.get(b"WALL")
+        if data is None:
+            return
+        demand(self.kind == 0, "WALL: not in a grid")
+        demand(len(data) >= 8, "WALL: cut off")
+        plane_count, cell_count = struct.unpack_from("<2I", data)
+        demand(len(data) == 8 + 16 * plane_count + 20 * cell_count, "WALL: size")
+        planes = [struct.unpack_from("<4f", data, 8 + 16 * k) for k in range(plane_count)]
+        demand(all(math.isfinite(v) for plane in planes for v in plane), "WALL: not finite")
+        self.walls = {}
+        last = -1
+        for k in range(cell_count):
+            cell, a, b, c, ends, _, *masks = struct.unpack_from("<I3H10B", data, 8 + 16 * plane_count + 20 * k)
+            used = [a, b, c, 65535].index(65535)
+            demand(cell > last and cell < self.node_count, f"WALL: cell {cell}")
+            demand(max([-1, *(a, b, c)[:used]]) < plane_count, f"WALL: cell {cell}: planes")
+            self.walls[cell] = ([planes[p] for p in (a, b, c)[:used]], ends, masks)
+            last = cell
 
     # --- light at a position ------------------------------------------------------------------------------------------
 
@@ -132,10 +155,14 @@ class Volume:
     def weights(self, position, normal):
         """[(node, weight)] whose weights add up to 1."""
         if self.kind == 0:
-            return self.grid_weights(position)
+            return self.grid_weights(position, normal)
         return [(self.nearest(position, normal), 1.0)]
 
-    def grid_weights(self, position):
+    def grid_weights(self, position, normal):
+        if self.walls is not None:
+            steps = [(h - l) / (n - 1) for l, h, n in zip(self.min, self.max, self.counts) if n > 1 and h > l]
+            bias = 1e-4 * min(steps, default=0.0)
+            position = [p + bias * n for p, n in zip(position, normal)]
         axes = []
         for p, low, high, count in zip(position, self.min, self.max, self.counts):
             if count == 1:
@@ -154,6 +181,26 @@ class Volume:
                 for z, wz in axes[2]:
                     node = x + self.counts[0] * (y + self.counts[1] * z)
                     corners.append((node, wx * wy * wz))
+        cell = self.walls and self.walls.get(corners[0][0])
+        if cell:
+            planes, ends, masks = cell
+            q = [min(max(p, low), high) - low for p, low, high in zip(position, self.min, self.max)]
+            part = sum((n0 * q[0] + n1 * q[1] + n2 * q[2] > d) << k for k, (n0, n1, n2, d) in enumerate(planes))
+            # The loop above ran x slowest: number corners as the file does.
+            wide = [count > 1 for count in self.counts]
+            bits = [
+                x | y << 1 | z << 2
+                for x in range(1 + wide[0])
+                for y in range(1 + wide[1])
+                for z in range(1 + wide[2])
+            ]
+            at_ends = sum(weight for (_, weight), k in zip(corners, bits) if ends >> k & 1)
+            hidden = max(0.0, 2 * at_ends - 1)
+            shares = [1.0 if masks[part] >> k & 1 else hidden for k in bits]
+            seen = [(n, w * share) for (n, w), share in zip(corners, shares) if self.is_valid(n)]
+            total = sum(weight for _, weight in seen)
+            if total >= 1e-6:
+                return [(node, weight / total) for node, weight in seen]
         valid = sum(weight for node, weight in corners if self.is_valid(node))
         if valid < 1e-6:
             return corners

@@ -80,8 +80,8 @@ fn main() {
             if directions == 0 {
                 first = seconds;
             }
-            let valid = baked.relative_error.iter().zip(&baked.valid).filter(|(_, valid)| **valid);
-            let noise = rms(valid.map(|(error, _)| f64::from(*error)));
+            let valid = baked.valid_nodes().map(|node| baked.relative_error[node]);
+            let noise = rms(valid.map(f64::from));
             // With the same uniform directions: importance learns from what it sees, and then looks elsewhere.
             let difference = match directions {
                 0 => "-".to_owned(),
@@ -105,8 +105,8 @@ fn differences(a: &Baked, b: &Baked) -> Vec<f64> {
     let cosine = |i: usize| f64::from(sh::COSINE[sh::band_of(i / 3)]);
     let values = 0..3 * sh::coefficient_count(a.bands);
     let norm = |of: &dyn Fn(usize) -> f64| values.clone().map(|i| (of(i) * cosine(i)).powi(2)).sum::<f64>().sqrt();
-    (0..a.valid.len())
-        .filter(|&n| a.valid[n] && b.valid[n])
+    (0..a.len())
+        .filter(|&n| a.is_valid(n) && b.is_valid(n))
         .map(|n| {
             let (x, y) = (a.node(n), b.node(n));
             norm(&|i| f64::from(x[i] - y[i])) / norm(&|i| f64::from(x[i])).max(f64::MIN_POSITIVE)

@@ -1,5 +1,6 @@
 //! What a bake does and what it leaves out, decided from the inputs before the first ray, with the reason.
 
+use crate::bake::{Baked, Nodes, Walls};
 use crate::radiance::RadianceFunction;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
@@ -107,6 +108,20 @@ pub fn plan_path(scene: &Scene, path: &Path) -> Vec<PlanRow> {
         },
         transparency(scene),
     ]
+}
+
+/// Walls between nodes, as far as is known: what was baked tells the rest.
+pub fn walls(nodes: &Nodes, scene: &Scene, baked: Option<&Baked>) -> PlanRow {
+    let between = matches!(nodes, Nodes::Grid(_)) && nodes.len() > 1;
+    match baked.map(|baked| &baked.walls) {
+        _ if !between => PlanRow::new("walls", false, "nothing is read between nodes"),
+        _ if scene.meshes.iter().all(|mesh| mesh.triangles.is_empty()) => PlanRow::new("walls", false, "no triangle"),
+        None => PlanRow::new("walls", true, "what stands between nodes is looked for"),
+        Some(None) => PlanRow::new("walls", false, "none stands between two nodes"),
+        Some(Some(Walls { cells, planes, .. })) => {
+            PlanRow::new("walls", true, format!("{} cells are cut by {} planes", cells.len(), planes.len()))
+        }
+    }
 }
 
 fn emitters(count: usize) -> PlanRow {

@@ -64,14 +64,40 @@ pub struct StatisticsRecord {
     pub relative_error: Option<ErrorSummary>,
     /// The same in the worst direction and channel of each node.
     pub worst_direction_error: Option<ErrorSummary>,
-    /// Mean share of the sphere that was covered, over all nodes.
+    /// Mean share of the sphere that was covered, over the nodes in the open.
     pub coverage: f64,
+    /// Why nodes have no light of their own, or take it elsewhere.
+    pub standing: StandingRecord,
+    /// What keeps light on its side of walls; `None` where no wall stands between nodes of a grid.
+    pub walls: Option<WallsRecord>,
     /// What de-ringing did; `None` where it was not asked for, or no node rings.
     pub deringing: Option<DeringingRecord>,
     /// The sun whose direct light was left out; `None` where that was not asked for, or no sun found.
     pub sun: Option<SunRecord>,
     /// What the inputs had that deserves a look.
     pub findings: Vec<Finding>,
+}
+
+/// Where nodes stand.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Encode, Decode)]
+pub struct StandingRecord {
+    /// In the open, but no probe has seen anything they see.
+    pub uncovered: u64,
+    /// In solids.
+    pub solid: u64,
+    /// Behind the level's surfaces, outside of it.
+    pub outside: u64,
+    /// Stepped off a surface, or out of a solid: their light is that of the place beside.
+    pub moved: u64,
+}
+
+/// Walls between nodes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct WallsRecord {
+    /// Cells that walls go through.
+    pub cells: u64,
+    /// Planes that cut them.
+    pub planes: u64,
 }
 
 /// A sun that was taken out of the distant panorama: the directional light that an engine adds.

@@ -1,6 +1,7 @@
 //! Packs a baked volume into the bytes of a `.gdibl` file (FORMAT.md, version 1).
 
 use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, SectionEntry, Units};
+use gdibl_runtime::walls::walls_to_bytes;
 use gdibl_runtime::{RadianceSh, Volume};
 use half::f16;
 use rayon::prelude::*;
@@ -74,9 +75,12 @@ pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSe
         Header { kind, counts, bands: baked.bands, encoding: numbers.encoding, scale: numbers.scale, units, min, max };
 
     // Sections in the order in which a reader wants them. What the level does not need is not there.
-    let mut sections = vec![(format::RADIANCE, planes(&baked.sh, &windows, baked.valid.len(), numbers))];
-    if baked.valid.iter().any(|v| !v) {
-        sections.push((format::VALIDITY, baked.valid.iter().map(|&v| u8::from(v)).collect()));
+    let mut sections = vec![(format::RADIANCE, planes(&baked.sh, &windows, baked.len(), numbers))];
+    if (0..count).any(|node| !baked.is_valid(node)) {
+        sections.push((format::VALIDITY, (0..count).map(|node| u8::from(baked.is_valid(node))).collect()));
+    }
+    if let Some(walls) = &baked.walls {
+        sections.push((format::WALLS, walls_to_bytes(&walls.planes, &walls.cells)));
     }
     match nodes {
         Nodes::Grid(_) => {}
@@ -97,7 +101,7 @@ pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSe
     }
     if !baked.coefficient_error.is_empty() && baked.coefficient_error.iter().all(|e| e.is_finite()) {
         sections.push((format::WORST_ERROR, halves(&baked.worst_error)));
-        sections.push((format::COEFFICIENT_ERRORS, planes(&baked.coefficient_error, &[], baked.valid.len(), numbers)));
+        sections.push((format::COEFFICIENT_ERRORS, planes(&baked.coefficient_error, &[], baked.len(), numbers)));
     }
     sections.push((format::SETTINGS, records::encode(&records.settings)));
     sections.push((format::PLAN, records::encode(&records.plan)));
@@ -116,7 +120,7 @@ fn deringing_windows(baked: &Baked, numbers: Numbers) -> Vec<Option<f32>> {
         stored.coefficients.iter_mut().flatten().for_each(|value| *value = numbers.read(*value));
         deringing::window(&node, &stored, numbers.rounding(), &search)
     };
-    (0..baked.valid.len()).into_par_iter().map(window).collect()
+    (0..baked.len()).into_par_iter().map(window).collect()
 }
 
 fn deringing_record(baked: &Baked, windows: &[Option<f32>]) -> Option<DeringingRecord> {

@@ -3,13 +3,14 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes};
+use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes, Standing};
 use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::records::{
-    DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, StatisticsRecord, SunRecord,
+    DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, StandingRecord, StatisticsRecord, SunRecord,
+    WallsRecord,
 };
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::{PackSettings, Packed, Precision, pack, write_whole};
@@ -60,6 +61,8 @@ struct Report<'a> {
     relative_error: Option<ErrorSummary>,
     worst_direction_error: Option<ErrorSummary>,
     coverage: f64,
+    standing: StandingRecord,
+    walls: Option<WallsRecord>,
     deringing: Option<DeringingRecord>,
     sun: Option<SunRecord>,
     bytes: u64,
@@ -102,13 +105,14 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     };
 
     let job = Job { nodes: &nodes, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
-    let (plan, baked) = match method {
+    let walls = plan::walls(&nodes, &inputs.scene, None);
+    let (mut plan, baked) = match method {
         Method::Gdibl => {
             let gdibl = gdibl_settings(&config.quality, inputs.captured, settings.directions(nodes.len() as u64));
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
             let plan = [vec![capture], plan::plan(&inputs.scene, &function)].concat();
             if arguments.plan {
-                return print_plan(plan, &config, arguments.json);
+                return print_plan([plan, vec![walls]].concat(), &config, arguments.json);
             }
             (plan, job.bake(&function)?)
         }
@@ -116,12 +120,14 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let path = Path::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config.quality)?);
             let plan = [vec![capture], plan::plan_path(&inputs.scene, &path)].concat();
             if arguments.plan {
-                return print_plan(plan, &config, arguments.json);
+                return print_plan([plan, vec![walls]].concat(), &config, arguments.json);
             }
             (plan, job.bake(&path)?)
         }
     };
     inputs.findings.extend(clamped_light(&baked, &settings));
+    inputs.findings.extend(dropped_walls(&baked));
+    plan.push(plan::walls(&nodes, &inputs.scene, Some(&baked)));
     let records = Records {
         settings: settings_record(&config, &settings, method),
         probes: probe_records(&inputs),
@@ -150,6 +156,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         relative_error: records.statistics.relative_error,
         worst_direction_error: records.statistics.worst_direction_error,
         coverage: records.statistics.coverage,
+        standing: records.statistics.standing,
+        walls: records.statistics.walls,
         deringing: records.statistics.deringing,
         sun: records.statistics.sun,
         bytes: bytes.len() as u64,
@@ -197,14 +205,20 @@ impl Job<'_> {
 
 /// Without a valid node there is no light.
 pub fn check_valid(baked: &Baked) -> Result<(), Fault> {
-    if baked.valid.contains(&true) {
+    if baked.valid_nodes().next().is_some() {
         return Ok(());
     }
+    let count = |of: Standing| baked.standing.iter().filter(|standing| **standing == of).count();
+    let [uncovered, solid, outside] = [Standing::Uncovered, Standing::Solid, Standing::Outside].map(count);
+    let advice = match uncovered {
+        0 => "are the nodes in the level's rooms, and do its triangles face them (front: counter-clockwise)?",
+        _ => "are the probes' positions in the level's metres, inside the same rooms as the nodes, not in a wall?",
+    };
     Err(Fault::Bound(format!(
-        "no node of {} saw anything that a probe or the distant panorama has seen, so there is nothing to fill from and \
-         nothing was written; are the probes' positions in the level's metres, inside the same rooms as the nodes, not in \
-         a wall?",
-        baked.valid.len()
+        "no node of {} has light of its own, so there is nothing to fill from and nothing was written: {uncovered} saw \
+         nothing that a probe or the distant panorama has seen, {solid} are in solids, {outside} behind the level's surfaces; \
+         {advice}",
+        baked.len()
     )))
 }
 
@@ -224,6 +238,17 @@ fn clamped_light(baked: &Baked, settings: &BakeSettings) -> Option<Finding> {
     (baked.clamped > 0.0).then(|| {
         let message = format!("--clamp {} took {:.3} % of the light away", settings.clamp, baked.clamped * 100.0);
         Finding::new("clamped-light", 1, message)
+    })
+}
+
+fn dropped_walls(baked: &Baked) -> Option<Finding> {
+    let dropped = baked.walls.as_ref().map_or(0, |walls| walls.dropped);
+    (dropped > 0).then(|| {
+        let message = format!(
+            "{dropped} cells with walls are left as if they had none: a file holds at most 65535 planes; split the volume, or \
+             bake with a larger --spacing"
+        );
+        Finding::new("dropped-walls", dropped as u64, message)
     })
 }
 
@@ -315,18 +340,27 @@ fn probe_records(inputs: &Inputs) -> Vec<ProbeRecord> {
 }
 
 fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
-    let errors = |all: &[f32]| {
-        let valid = baked.valid.iter().zip(all).filter(|(valid, _)| **valid);
-        ErrorSummary::of(valid.map(|(_, error)| f64::from(*error)))
-    };
+    let errors = |all: &[f32]| ErrorSummary::of(baked.valid_nodes().map(|node| f64::from(all[node])));
+    let count = |of: Standing| baked.standing.iter().filter(|standing| **standing == of).count() as u64;
+    let in_the_open = baked.valid_nodes().count() as u64 + count(Standing::Uncovered);
     StatisticsRecord {
-        nodes: baked.valid.len() as u64,
-        nodes_valid: baked.valid.iter().filter(|valid| **valid).count() as u64,
+        nodes: baked.len() as u64,
+        nodes_valid: baked.valid_nodes().count() as u64,
         rays: baked.rays,
         samples: baked.samples,
         relative_error: errors(&baked.relative_error),
         worst_direction_error: errors(&baked.worst_error),
-        coverage: baked.coverage.iter().map(|c| f64::from(*c)).sum::<f64>() / baked.coverage.len() as f64,
+        coverage: baked.coverage.iter().map(|c| f64::from(*c)).sum::<f64>() / in_the_open.max(1) as f64,
+        standing: StandingRecord {
+            uncovered: count(Standing::Uncovered),
+            solid: count(Standing::Solid),
+            outside: count(Standing::Outside),
+            moved: baked.moved.len() as u64,
+        },
+        walls: baked
+            .walls
+            .as_ref()
+            .map(|walls| WallsRecord { cells: walls.cells.len() as u64, planes: walls.planes.len() as u64 }),
         deringing: None,
         sun: None,
         findings: inputs.findings.clone(),
@@ -363,6 +397,7 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
     let mut lines = vec![
         report.output.clone(),
         format!("  nodes     {} ({kind}), {} valid", report.nodes, report.nodes_valid),
+        format!("  standing  {}", super::standing_text(&report.standing, report.walls.as_ref())),
         format!("  light     {} in {precision}, {} bytes", report.sh, report.bytes),
         format!(
             "  work      {:.1} M rays for {:.1} M directions in {:.2} s ({:.2} s of CPU)",

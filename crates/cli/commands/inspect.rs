@@ -112,6 +112,9 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
     row("light", format!("radiance to {} in {}, times {}{how}", report.sh, report.precision, report.scale));
     let volume = &report.volume;
     row("valid", format!("{} of {} nodes", volume.nodes_valid, volume.nodes));
+    if let Some(statistics) = &report.statistics {
+        row("standing", super::standing_text(&statistics.standing, statistics.walls.as_ref()));
+    }
     for (name, range) in ["red", "green", "blue"].iter().zip(&volume.irradiance) {
         row(name, format!("mean irradiance {:.4} to {:.4}, mean {:.4}", range.min, range.max, range.mean));
     }

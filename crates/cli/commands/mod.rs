@@ -8,7 +8,7 @@ pub mod render;
 pub mod sample;
 pub mod study;
 
-use gdibl_baker::records::{DeringingRecord, Record, SunRecord, decode};
+use gdibl_baker::records::{DeringingRecord, Record, StandingRecord, SunRecord, WallsRecord, decode};
 use gdibl_runtime::format::{Directory, Limits};
 use serde::Serialize;
 use std::io::Write;
@@ -64,6 +64,16 @@ fn record<T: Record>(directory: &Directory, path: &Path, id: [u8; 4]) -> Result<
     let bytes = directory.section_bytes(id, &Limits::default()).map_err(|error| volume_fault(path, &error))?;
     let name = String::from_utf8_lossy(&id);
     bytes.map(|bytes| decode(&bytes, path, &name)).transpose().map_err(Fault::from)
+}
+
+/// Where the nodes stand that have no light of their own, or have it from a place beside; and walls between nodes.
+fn standing_text(standing: &StandingRecord, walls: Option<&WallsRecord>) -> String {
+    let StandingRecord { uncovered, solid, outside, moved } = standing;
+    let walls = match walls {
+        Some(WallsRecord { cells, planes }) => format!("{cells} cells with walls, cut by {planes} planes"),
+        None => "no wall between nodes".into(),
+    };
+    format!("{solid} in solids, {outside} outside, {uncovered} that no probe covers; {moved} stepped aside; {walls}")
 }
 
 /// The sun that an engine adds, in words.

@@ -52,6 +52,8 @@ pub const POSITIONS: [u8; 4] = *b"POSN";
 pub const NORMALS: [u8; 4] = *b"NORM";
 /// Which vertices belong to which mesh: records of five u32. Vertices only; may be absent.
 pub const MESHES: [u8; 4] = *b"MESH";
+/// Walls between nodes, see [`crate::walls`]. Grids only; may be absent.
+pub const WALLS: [u8; 4] = *b"WALL";
 /// A record: the settings of the bake. The runtime skips it.
 pub const SETTINGS: [u8; 4] = *b"SETT";
 /// A record: the stages kept and left out. The runtime skips it.

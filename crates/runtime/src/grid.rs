@@ -63,6 +63,44 @@ impl Grid {
         })
     }
 
+    /// Whether a node is the lowest corner of a cell: on no axis the last of several.
+    pub fn is_cell(&self, lowest: u32) -> bool {
+        let [nx, ny, nz] = self.counts;
+        let (x, y, z) = (lowest % nx, lowest / nx % ny, lowest / nx / ny);
+        z < nz && [(x, nx), (y, ny), (z, nz)].iter().all(|&(place, count)| count == 1 || place + 1 < count)
+    }
+
+    /// The cell beyond a face of the cell whose lowest corner is `lowest`; None where the grid ends.
+    pub fn neighbour_cell(&self, lowest: u32, axis: usize, higher: bool) -> Option<u32> {
+        let stride = [1, self.counts[0], self.counts[0].wrapping_mul(self.counts[1])][axis];
+        let place = lowest / stride % self.counts[axis];
+        match higher {
+            false => (place > 0).then(|| lowest - stride),
+            true => (place + 2 < self.counts[axis]).then(|| lowest + stride),
+        }
+    }
+
+    /// The corners of the cell whose lowest is `lowest`, as in [`Cell::nodes`].
+    pub fn cell_nodes(&self, lowest: u32) -> [u32; 8] {
+        let [nx, ny, nz] = self.counts;
+        let step = |count: u32, stride: u32| if count > 1 { stride } else { 0 };
+        let steps = [step(nx, 1), step(ny, nx), step(nz, nx.wrapping_mul(ny))];
+        core::array::from_fn(|corner| {
+            lowest + (0..3).filter(|axis| corner >> axis & 1 == 1).map(|k| steps[k]).sum::<u32>()
+        })
+    }
+
+    /// The box of that cell, metres; over all of the grid's box on an axis with one node.
+    pub fn cell_box(&self, lowest: u32) -> ([f64; 3], [f64; 3]) {
+        let low = self.node_position(lowest as usize);
+        let high = self.node_position(self.cell_nodes(lowest)[7] as usize);
+        let is_flat = |axis: usize| self.counts[axis] <= 1;
+        (
+            core::array::from_fn(|axis| if is_flat(axis) { self.min[axis] } else { low[axis] }),
+            core::array::from_fn(|axis| if is_flat(axis) { self.max[axis] } else { high[axis] }),
+        )
+    }
+
     /// The eight nodes around a position, in metres, and their trilinear weights.
     ///
     /// Every position has an answer: outside the box that of the nearest position in it, and a coordinate that is no

@@ -37,6 +37,7 @@
 //! | [`grid`] | where the nodes of a grid are, and which eight surround a position |
 //! | [`volume`] | a parsed file: coefficients per node, validity, positions |
 //! | [`sample`] | light at a position: trilinear in a grid, nearest in points and vertices |
+//! | [`walls`] | what keeps light on its side of walls between the nodes of a grid |
 //! | [`format`](mod@format) | the bytes of a file, shared with the writer; `FORMAT.md` says the same in prose |
 //! | [`half`] | 16-bit floats to 32-bit |
 //!
@@ -62,6 +63,7 @@ pub mod sample;
 pub mod sh;
 mod shuffle;
 pub mod volume;
+pub mod walls;
 
 pub use error::Error;
 pub use format::{Header, Kind, Limits, Units};

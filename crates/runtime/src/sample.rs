@@ -15,9 +15,10 @@ use crate::grid::box_contains;
 use crate::half::plain_f16_to_scaled_f32;
 use crate::math::square_root;
 use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
-use crate::volume::{Coefficients, SUBNORMAL, VALID};
-use crate::{Cell, Kind, RadianceSh, Volume};
+use crate::volume::{Coefficients, SUBNORMAL, VALID, WALLED};
+use crate::{Kind, RadianceSh, Volume};
 use alloc::vec::Vec;
+use core::array;
 
 /// The share of the eight nodes' weights that must be valid for the others to be left out.
 pub const LEAST_VALID: f32 = 1e-6;
@@ -47,7 +48,14 @@ impl Volume {
     /// The same for levels far from the origin, where an f32 is too coarse for a position.
     pub fn sample_f64(&self, position: [f64; 3], normal: [f32; 3]) -> Sample {
         match self.header.kind {
-            Kind::Grid => self.sample_grid(&self.header.grid().locate(position)),
+            Kind::Grid => {
+                let (nodes, weights, validity) = self.grid_weights(position, normal);
+                let mut sh = RadianceSh::zero(self.header.bands);
+                self.blended(&nodes, &weights, |_, radiance| {
+                    sh.coefficients.as_flattened_mut()[..radiance.len()].copy_from_slice(radiance);
+                });
+                Sample { sh, validity, inside: box_contains(self.header.min, self.header.max, position) }
+            }
             Kind::Points | Kind::Vertices => {
                 let node = self.nearest(position, normal);
                 Sample {
@@ -65,8 +73,7 @@ impl Volume {
     pub fn irradiance(&self, position: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
         match self.header.kind {
             Kind::Grid => {
-                let (nodes, weights) = self.header.grid().corners(position.map(f64::from));
-                let (weights, _) = self.valid_weights(&nodes, weights);
+                let (nodes, weights, _) = self.grid_weights(position.map(f64::from), normal);
                 self.blended(&nodes, &weights, |bands, radiance| irradiance(bands, radiance, normal))
             }
             Kind::Points | Kind::Vertices => self.sample(position, normal).sh.convolve().evaluate(normal),
@@ -79,28 +86,51 @@ impl Volume {
         (self.header.kind != Kind::Grid).then(|| self.nearest(position, normal))
     }
 
-    fn sample_grid(&self, cell: &Cell) -> Sample {
-        let (weights, validity) = self.valid_weights(&cell.nodes, cell.weights);
-        let mut sh = RadianceSh::zero(self.header.bands);
-        self.blended(&cell.nodes, &weights, |_, radiance| {
-            sh.coefficients.as_flattened_mut()[..radiance.len()].copy_from_slice(radiance);
-        });
-        Sample { sh, validity, inside: cell.inside }
+    /// The nodes around a position, their weights, which add up to 1, and the share of valid nodes in them.
+    #[inline(always)]
+    fn grid_weights(&self, mut position: [f64; 3], normal: [f32; 3]) -> ([u32; 8], [f32; 8], f32) {
+        let grid = self.header.grid();
+        let Some(marks) = &self.marks else {
+            let (nodes, weights) = grid.corners(position);
+            return (nodes, weights, 1.0);
+        };
+        if let Some(walls) = &self.walls {
+            // What is no unit vector moves nothing.
+            let along = |k: usize| if normal[k].abs() < 1.5 { normal[k] } else { 0.0 };
+            position = array::from_fn(|k| position[k] + f64::from(walls.bias * along(k)));
+        }
+        let (nodes, weights) = grid.corners(position);
+        let is_valid = |k: usize| f32::from(marks[nodes[k] as usize] & VALID);
+        let weights_of_valid: [f32; 8] = array::from_fn(|k| weights[k] * is_valid(k));
+        let validity = weights_of_valid.iter().sum::<f32>().min(1.0);
+        if marks[nodes[0] as usize] & WALLED != 0 {
+            let seen = self.seen_weights(&nodes, &weights, &weights_of_valid, position);
+            if let Some(weights) = seen {
+                return (nodes, weights, validity);
+            }
+        }
+        if validity < LEAST_VALID {
+            return (nodes, weights, 0.0);
+        }
+        (nodes, weights_of_valid.map(|weight| weight / validity), validity)
     }
 
-    /// The weights of valid nodes alone, which add up to 1 again, and the share of 1 that they were.
-    #[inline(always)]
-    fn valid_weights(&self, nodes: &[u32; 8], weights: [f32; 8]) -> ([f32; 8], f32) {
-        let Some(marks) = &self.marks else {
-            return (weights, 1.0);
-        };
-        let masked: [f32; 8] = core::array::from_fn(|k| weights[k] * f32::from(marks[nodes[k] as usize] & VALID));
-        let validity = masked.iter().sum::<f32>().min(1.0);
-        if validity < LEAST_VALID {
-            return (weights, 0.0);
-        }
-        let scale = 1.0 / validity;
-        (masked.map(|weight| weight * scale), validity)
+    /// The weights of the nodes that are seen from a position in a cell with walls, which add up to 1; None where there is
+    /// none.
+    #[inline(never)]
+    fn seen_weights(
+        &self,
+        nodes: &[u32; 8],
+        weights: &[f32; 8],
+        weights_of_valid: &[f32; 8],
+        position: [f64; 3],
+    ) -> Option<[f32; 8]> {
+        let (min, max) = (self.header.min, self.header.max);
+        let place = array::from_fn(|k| position[k].max(min[k]).min(max[k]) - min[k]);
+        let shares = self.walls.as_ref()?.shares(nodes[0], place, weights);
+        let seen: [f32; 8] = array::from_fn(|k| weights_of_valid[k] * shares[k]);
+        let sum = seen.iter().sum::<f32>();
+        (sum >= LEAST_VALID).then(|| seen.map(|weight| weight / sum))
     }
 
     /// What `then(bands, values)` makes of the weighted sum of the values of eight nodes. One arm per number of bands, so that

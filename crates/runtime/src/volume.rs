@@ -6,10 +6,11 @@
 
 use crate::format::{
     self, COVERAGE, Directory, Encoding, Header, Kind, Limits, MESHES, NORMALS, POSITIONS, RADIANCE, STANDARD_ERROR,
-    VALIDITY,
+    VALIDITY, WALLS,
 };
 use crate::half::{f16_is_finite, f16_is_subnormal, f16_to_f32};
 use crate::nearest::NearestIndex;
+use crate::walls::{Walls, check_kind};
 use crate::{Error, RadianceSh};
 use alloc::format;
 use alloc::vec;
@@ -23,6 +24,7 @@ pub struct Volume {
     pub(crate) coefficients: Coefficients,
     /// [`VALID`] and [`SUBNORMAL`] of each node; None where all are valid and none is subnormal.
     pub(crate) marks: Option<Vec<u8>>,
+    pub(crate) walls: Option<Walls>,
     coverage: Option<Vec<u16>>,
     relative_error: Option<Vec<u16>>,
     /// Points and vertices; relative to the header's min.
@@ -38,6 +40,8 @@ pub(crate) const VALID: u8 = 1;
 /// A node's mark: some of its numbers are subnormal f16, too small for the fast way to decode them. Rare: a writer's scale
 /// brings the largest numbers near f16's largest, and 10⁹ lies between that and these.
 pub(crate) const SUBNORMAL: u8 = 2;
+/// A node's mark: walls go through the cell of which it is the lowest corner.
+pub(crate) const WALLED: u8 = 4;
 
 /// Node by node, `Header::values_per_node` each; one zero at the end, so that a row of an odd number of values can be read
 /// as if it had one more.
@@ -76,12 +80,17 @@ impl Volume {
         let sections = Sections { directory };
         sections.check_kind()?;
         let coefficients = sections.coefficients()?;
-        let marks = marks(sections.validity()?, &coefficients, &header);
+        let walls = sections.walls()?;
+        let mut marks = marks(sections.validity()?, &coefficients, &header);
+        for cell in walls.iter().flat_map(Walls::cells) {
+            marks.get_or_insert_with(|| vec![VALID; header.node_count()])[cell as usize] |= WALLED;
+        }
         let positions = sections.vectors(POSITIONS)?;
         Ok(Volume {
             header,
             coefficients,
             marks,
+            walls,
             coverage: sections.fractions(COVERAGE, 1.0)?,
             relative_error: sections.fractions(STANDARD_ERROR, f32::MAX)?,
             index: NearestIndex::build(&positions),
@@ -126,6 +135,11 @@ impl Volume {
     pub fn is_valid(&self, node: usize) -> bool {
         self.check_node(node);
         self.marks.as_ref().is_none_or(|marks| marks[node] & VALID != 0)
+    }
+
+    /// How many cells of a grid have walls in them that keep light on its side.
+    pub fn walled_cells(&self) -> usize {
+        self.walls.as_ref().map_or(0, Walls::len)
     }
 
     /// The share of what node `node` sees (by solid angle) that some probe has seen, 0..=1.
@@ -245,6 +259,14 @@ impl Sections<'_> {
             return Err(Error::invalid(format!("section VALD, node {node}"), format!("{}", bytes[node]), "0 or 1"));
         }
         Ok(Some(bytes.into_owned()))
+    }
+
+    fn walls(&self) -> Result<Option<Walls>, Error> {
+        let Some(bytes) = self.directory.checked_section_bytes(WALLS)? else {
+            return Ok(None);
+        };
+        check_kind(&self.directory.header)?;
+        Walls::parse(&bytes, &self.directory.header).map(Some)
     }
 
     /// 16-bit floats from 0 to `max`.

@@ -30,7 +30,7 @@ pub fn calibrate(converged: &Baked, bakes: &[Baked]) -> Calibration {
     let (mut covered, mut values) = (0u64, 0u64);
     let (mut found, mut claimed, mut light) = (0.0, 0.0, 0.0);
     let mut nodes = Vec::new();
-    for node in (0..converged.valid.len()).filter(|&node| converged.valid[node] && bakes.iter().all(|b| b.valid[node]))
+    for node in (0..converged.len()).filter(|&node| converged.is_valid(node) && bakes.iter().all(|b| b.is_valid(node)))
     {
         let (mut own_found, mut own_light) = (0.0, 0.0);
         for place in node * stride..(node + 1) * stride {

@@ -353,7 +353,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 mod tests {
     use super::*;
     use crate::analyse::{choose_sets, radiance_sh};
-    use crate::bake::{Baked, Nodes, grid_of_counts};
+    use crate::bake::{Baked, Nodes, Standing, grid_of_counts};
     use crate::volume::volume_of as volume;
     use glam::{DVec3, Vec3};
 
@@ -369,7 +369,9 @@ mod tests {
         Baked {
             bands: 1,
             sh: values.collect(),
-            valid: vec![true; count],
+            standing: vec![Standing::Open; count],
+            moved: Vec::new(),
+            walls: None,
             coverage: vec![1.0; count],
             relative_error: vec![relative_error; count],
             worst_error: vec![relative_error; count],
@@ -466,16 +468,16 @@ mod tests {
     fn invalid_nodes_of_the_truth_are_left_out_and_filled_ones_of_the_volume_counted() {
         let nodes = grid([2, 2, 2]);
         let (mut found, mut truth) = (baked(&nodes, 0.01), baked(&nodes, 0.01));
-        truth.valid[0] = false;
+        truth.standing[0] = Standing::Solid;
         truth.sh[0] = 1e3;
-        found.valid[..2].fill(false);
+        found.standing[..2].fill(Standing::Uncovered);
         found.sh[12] += 1.0;
         let comparison = compared(&volume(&nodes, &found), &volume(&nodes, &truth));
         let expected = Places { truth: 8, compared: 7, invalid: 1, filled: 1, ..Places::default() };
         assert_eq!(comparison.places, expected);
         assert_eq!(comparison.worst.len(), 1);
         assert_eq!((comparison.worst[0].node, comparison.worst[0].position), (1, [2.0, 0.0, 0.0]));
-        truth.valid.fill(false);
+        truth.standing.fill(Standing::Outside);
         let truth = [Truth::of_volume(&volume(&nodes, &truth))];
         let nothing = compare(&volume(&nodes, &found), &truth, &CompareSettings::default()).unwrap_err();
         assert!(nothing.to_string().contains("8 are nodes that are not valid"), "{nothing}");

@@ -57,8 +57,6 @@ pub struct NodeEstimate {
     pub coverage: f64,
     /// What clamping took: ∫ L dω, summed over R, G and B.
     pub clamped: f64,
-    /// Share of the samples that first met the back of a triangle, 0..=1.
-    pub backs: f64,
     /// Rays traced.
     pub rays: u64,
     /// Directions that left the node.
@@ -400,7 +398,6 @@ impl Integrator {
             standard_error: error(all_squares / values),
             worst_error: error(worst_squares),
             rms_irradiance: (square / values).sqrt(),
-            backs: context.backs as f64 / samples as f64,
             clamped: self.sums.clamped * 4.0 * PI / samples as f64,
             coverage: if any_covered { share_covered.clamp(f64::MIN_POSITIVE, 1.0) } else { 0.0 },
             rays: context.rays,

@@ -7,9 +7,11 @@ mod directions;
 mod gather;
 mod integrate;
 mod nodes;
+mod standing;
+mod walls;
 
 use gdibl_runtime::sh;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::Mutex;
 
@@ -18,8 +20,11 @@ pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 pub use integrate::INTERVAL_95;
 use integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence};
 pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
+use standing::Sites;
+pub use standing::Standing;
+pub use walls::{WallCell, Walls};
 
-use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
+use crate::radiance::{PathContext, RadianceFunction};
 use crate::sampling::{Sampler, Stream};
 use crate::{Control, Interrupted};
 
@@ -82,8 +87,12 @@ pub struct Baked {
     pub bands: u32,
     /// Radiance coefficients, `[node][coefficient][rgb]` flat.
     pub sh: Vec<f32>,
-    /// False: no direction was covered, or the node is in a solid; the coefficients come from neighbours.
-    pub valid: Vec<bool>,
+    /// Only what is open has light of its own; the coefficients of the others come from neighbours.
+    pub standing: Vec<Standing>,
+    /// Nodes whose light is taken at another place, in order, and where, world metres.
+    pub moved: Vec<(u32, DVec3)>,
+    /// What keeps light from passing through walls between nodes; `None` where no wall stands between any.
+    pub walls: Option<Walls>,
     /// Share of the sphere that was covered, 0..=1.
     pub coverage: Vec<f32>,
     /// Standard error of E over the larger of the node's RMS of E and a tenth of the volume's median; 0 for
@@ -108,6 +117,31 @@ impl Baked {
     pub fn node(&self, index: usize) -> &[f32] {
         let stride = 3 * sh::coefficient_count(self.bands);
         &self.sh[index * stride..(index + 1) * stride]
+    }
+
+    /// How many nodes.
+    pub fn len(&self) -> usize {
+        self.standing.len()
+    }
+
+    /// Never.
+    pub fn is_empty(&self) -> bool {
+        self.standing.is_empty()
+    }
+
+    /// Every node has light of its own.
+    pub fn is_all_valid(&self) -> bool {
+        self.standing.iter().all(|standing| *standing == Standing::Open)
+    }
+
+    /// The nodes that have light of their own, in order.
+    pub fn valid_nodes(&self) -> impl Iterator<Item = usize> {
+        (0..self.len()).filter(|node| self.is_valid(*node))
+    }
+
+    /// The node has light of its own.
+    pub fn is_valid(&self, index: usize) -> bool {
+        self.standing[index] == Standing::Open
     }
 }
 
@@ -134,8 +168,12 @@ pub fn bake(
 ) -> Result<Baked, Interrupted> {
     assert!(settings.bands <= sh::MAX_BANDS, "bands {} of at most {}", settings.bands, sh::MAX_BANDS);
     assert!((1..=BakeSettings::MAX_SAMPLES).contains(&settings.samples), "samples {}", settings.samples);
+    let mut sites = Sites::find(nodes, function);
+    let open = sites.open(nodes.neighbourhoods().into_iter());
+    (control.progress)((nodes.len() - open.len()) as u64, 0);
+    let job = Job { nodes, sites: &sites, function, settings, control };
     let median = match settings.target_error {
-        Some(_) if settings.samples > PILOT_SAMPLES => Some(pilot(nodes, function, settings, control)?),
+        Some(_) if settings.samples > PILOT_SAMPLES => Some(job.pilot(&open)?),
         _ => None,
     };
     let enough = |done: u64, estimate: Option<&NodeEstimate>| match (settings.target_error, median, estimate) {
@@ -147,50 +185,70 @@ pub fn bake(
         }
         _ => settings.samples,
     };
-    let baked = sample_nodes(nodes, function, settings, control, enough)?;
-    let Sampled { sh, mut coefficient_error, estimates, rays, samples } = baked;
-    let median = median.unwrap_or_else(|| median_irradiance(&estimates));
-    let valid: Vec<bool> = estimates.iter().map(|e| e.is_valid(median)).collect();
+    let mut sampled = Sampled::new(nodes.len(), settings);
+    job.sample(&open, enough, &mut sampled)?;
+    let median = median.unwrap_or_else(|| median_irradiance(&sampled.estimates));
+    let is_dark = |sampled: &Sampled, node: &u32| sampled.estimates[*node as usize].is_dark(median);
+    let dark: Vec<u32> = sites.suspects.iter().copied().filter(|node| is_dark(&sampled, node)).collect();
+    let out = sites.step_out(&dark, nodes, function);
+    let silent = Control { cancel: control.cancel, progress: &|_, rays| (control.progress)(0, rays) };
+    Job { nodes, sites: &sites, function, settings, control: &silent }.sample(&out, enough, &mut sampled)?;
+    for node in out.into_iter().filter(|node| !is_dark(&sampled, node)) {
+        sites.standing[node as usize] = Standing::Open;
+    }
+    for (standing, estimate) in sites.standing.iter_mut().zip(&sampled.estimates) {
+        if *standing == Standing::Open && estimate.coverage == 0.0 {
+            *standing = Standing::Uncovered;
+        }
+    }
+    Ok(finish(nodes, function, settings, sites, sampled, median))
+}
+
+/// Figures and what lies between nodes, once all are sampled.
+fn finish(
+    nodes: &Nodes,
+    function: &impl RadianceFunction,
+    settings: &BakeSettings,
+    sites: Sites,
+    sampled: Sampled,
+    median: f64,
+) -> Baked {
+    let Sampled { sh, mut coefficient_error, estimates, rays, samples } = sampled;
+    let is_open: Vec<bool> = sites.standing.iter().map(|standing| *standing == Standing::Open).collect();
+    let valid = || estimates.iter().zip(&is_open).map(|(e, open)| (e, *open));
     let errors = |own: fn(&Summary) -> f64| -> Vec<f32> {
-        let relative = |e: &Summary| if e.is_valid(median) { e.relative(own(e), median) as f32 } else { 0.0 };
-        estimates.iter().map(relative).collect()
+        valid().map(|(e, valid)| if valid { e.relative(own(e), median) as f32 } else { 0.0 }).collect()
     };
     let relative_error = errors(|e| e.standard_error);
     let worst_error = errors(|e| e.worst_error);
     let stride = 3 * sh::coefficient_count(settings.bands);
-    for (errors, _) in coefficient_error.chunks_exact_mut(stride).zip(&valid).filter(|(_, valid)| !**valid) {
+    for (errors, _) in coefficient_error.chunks_exact_mut(stride).zip(&is_open).filter(|(_, valid)| !**valid) {
         errors.fill(0.0);
     }
     let target = settings.target_error.unwrap_or(f64::INFINITY) as f32;
-    let total = |of: fn(&Summary) -> f64| estimates.iter().filter(|e| e.is_valid(median)).map(of).sum::<f64>();
+    let total = |of: fn(&Summary) -> f64| valid().filter(|(_, valid)| *valid).map(|(e, _)| of(e)).sum::<f64>();
     let (clamped, kept) = (total(|e| e.clamped), total(|e| e.kept));
+    let moved = sites.moved(function);
     let mut baked = Baked {
         bands: settings.bands,
         sh,
-        coverage: estimates.iter().map(|e| e.coverage as f32).collect(),
+        coverage: valid().map(|(e, valid)| if valid { e.coverage as f32 } else { 0.0 }).collect(),
         missed: relative_error.iter().filter(|e| **e > target).count() as u64,
         relative_error,
         worst_error,
         coefficient_error,
-        valid,
+        standing: sites.standing.clone(),
+        moved,
+        walls: None,
         rays,
         samples,
         clamped: if clamped > 0.0 { clamped / (clamped + kept) } else { 0.0 },
     };
     fill_invalid(nodes, &mut baked);
-    Ok(baked)
-}
-
-/// Median RMS of E over the nodes, from a few samples each: the floor of relative errors.
-fn pilot(
-    nodes: &Nodes,
-    function: &impl RadianceFunction,
-    settings: &BakeSettings,
-    control: &Control,
-) -> Result<f64, Interrupted> {
-    let silent = Control { cancel: control.cancel, progress: &|_, _| {} };
-    let sampled = sample_nodes(nodes, function, settings, &silent, |_, _| PILOT_SAMPLES)?;
-    Ok(median_irradiance(&sampled.estimates))
+    if let Nodes::Grid(grid) = nodes {
+        baked.walls = walls::find(grid, &baked, function, |node| sites.place(node, nodes, function));
+    }
+    baked
 }
 
 /// What is kept of a node besides its coefficients.
@@ -200,7 +258,6 @@ struct Summary {
     worst_error: f64,
     rms_irradiance: f64,
     coverage: f64,
-    backs: f64,
     /// ∫ L dω that clamping took, and that is left, over R, G and B.
     clamped: f64,
     kept: f64,
@@ -210,9 +267,9 @@ struct Summary {
 const NEXT_TO_NONE: f64 = 1e-3;
 
 impl Summary {
-    /// Something of what it sees is known, and it is not the inside of a solid.
-    fn is_valid(&self, median: f64) -> bool {
-        self.coverage > 0.0 && !(self.backs > SOLID_BACKS && self.rms_irradiance <= NEXT_TO_NONE * median)
+    /// Next to no light gets there, or none that is known.
+    fn is_dark(&self, median: f64) -> bool {
+        self.coverage == 0.0 || self.rms_irradiance <= NEXT_TO_NONE * median
     }
 
     /// An error of E over the larger of the node's own RMS of E and a tenth of the median.
@@ -234,7 +291,6 @@ impl From<&NodeEstimate> for Summary {
             worst_error: e.worst_error,
             rms_irradiance: e.rms_irradiance,
             coverage: e.coverage,
-            backs: e.backs,
             clamped: e.clamped,
             kept: e.sh[0].iter().sum::<f64>() * (4.0 * std::f64::consts::PI).sqrt(),
         }
@@ -260,64 +316,90 @@ struct Sampled {
     samples: u64,
 }
 
-fn sample_nodes(
-    nodes: &Nodes,
-    function: &impl RadianceFunction,
-    settings: &BakeSettings,
-    control: &Control,
-    enough: impl Fn(u64, Option<&NodeEstimate>) -> u64 + Sync,
-) -> Result<Sampled, Interrupted> {
-    let stride = 3 * sh::coefficient_count(settings.bands);
-    let sampled = Sampled {
-        sh: vec![0.0f32; stride * nodes.len()],
-        coefficient_error: vec![0.0; if settings.coefficient_errors { stride * nodes.len() } else { 0 }],
-        estimates: vec![Summary::default(); nodes.len()],
-        rays: 0,
-        samples: 0,
-    };
-    let sampled = Mutex::new(sampled);
-    let integration =
-        IntegratorSettings { bands: settings.bands, clamp: settings.clamp, importance: settings.importance };
-    nodes.neighbourhoods().par_chunks(NEIGHBOURS).with_max_len(1).try_for_each_init(
-        || Integrator::new(integration),
-        |integrator, neighbours| {
-            let mut known_rays = 0;
-            let places: Vec<Place> = neighbours
-                .iter()
-                .map(|&index| {
-                    let origin = nodes.ray_origin(index as usize, function.frame());
-                    let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node: index.into() };
-                    let known = match settings.punctual {
-                        true => punctual_light(function, origin, &mut known_rays),
-                        false => NO_LIGHT,
-                    };
-                    Place { sequence, origin, known }
-                })
-                .collect();
-            // A node may take minutes: its rays stop, too.
-            let radiance = |origin: Vec3, direction: Vec3, context: &mut PathContext| {
-                (!control.cancelled()).then(|| function.radiance(origin, direction, context))
-            };
-            let estimates = integrator.integrate(function.guide(), &places, radiance, &enough)?;
-            let rays = known_rays + estimates.iter().map(|estimate| estimate.rays).sum::<u64>();
-            let mut sampled = sampled.lock().expect("no worker panics");
-            for (&index, estimate) in neighbours.iter().zip(&estimates) {
-                let index = index as usize;
-                let own = index * stride..(index + 1) * stride;
-                store(&mut sampled.sh[own.clone()], &estimate.sh);
-                if settings.coefficient_errors {
-                    store(&mut sampled.coefficient_error[own], &estimate.coefficient_error);
+impl Sampled {
+    fn new(nodes: usize, settings: &BakeSettings) -> Sampled {
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        Sampled {
+            sh: vec![0.0f32; stride * nodes],
+            coefficient_error: vec![0.0; if settings.coefficient_errors { stride * nodes } else { 0 }],
+            estimates: vec![Summary::default(); nodes],
+            rays: 0,
+            samples: 0,
+        }
+    }
+}
+
+/// What is sampled, and how.
+struct Job<'a, F> {
+    nodes: &'a Nodes,
+    sites: &'a Sites,
+    function: &'a F,
+    settings: &'a BakeSettings,
+    control: &'a Control<'a>,
+}
+
+impl<F: RadianceFunction> Job<'_, F> {
+    /// Median RMS of E over these nodes, from a few samples each: the floor of relative errors.
+    fn pilot(&self, which: &[u32]) -> Result<f64, Interrupted> {
+        let mut sampled = Sampled::new(self.nodes.len(), self.settings);
+        let silent = Control { cancel: self.control.cancel, progress: &|_, _| {} };
+        Job { control: &silent, ..*self }.sample(which, |_, _| PILOT_SAMPLES, &mut sampled)?;
+        Ok(median_irradiance(&sampled.estimates))
+    }
+
+    /// Samples these nodes, of which those in a row stand near each other, until `enough` says so (see
+    /// [`Integrator::integrate`]).
+    fn sample(
+        &self,
+        which: &[u32],
+        enough: impl Fn(u64, Option<&NodeEstimate>) -> u64 + Sync,
+        sampled: &mut Sampled,
+    ) -> Result<(), Interrupted> {
+        let Job { function, settings, control, .. } = *self;
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        let sampled = Mutex::new(sampled);
+        let integration =
+            IntegratorSettings { bands: settings.bands, clamp: settings.clamp, importance: settings.importance };
+        which.par_chunks(NEIGHBOURS).with_max_len(1).try_for_each_init(
+            || Integrator::new(integration),
+            |integrator, neighbours| {
+                let mut known_rays = 0;
+                let places: Vec<Place> = neighbours
+                    .iter()
+                    .map(|&index| {
+                        let origin = self.sites.place(index, self.nodes, function);
+                        let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node: index.into() };
+                        let known = match settings.punctual {
+                            true => punctual_light(function, origin, &mut known_rays),
+                            false => NO_LIGHT,
+                        };
+                        Place { sequence, origin, known }
+                    })
+                    .collect();
+                // A node may take minutes: its rays stop, too.
+                let radiance = |origin: Vec3, direction: Vec3, context: &mut PathContext| {
+                    (!control.cancelled()).then(|| function.radiance(origin, direction, context))
+                };
+                let estimates = integrator.integrate(function.guide(), &places, radiance, &enough)?;
+                let rays = known_rays + estimates.iter().map(|estimate| estimate.rays).sum::<u64>();
+                let mut sampled = sampled.lock().expect("no worker panics");
+                for (&index, estimate) in neighbours.iter().zip(&estimates) {
+                    let index = index as usize;
+                    let own = index * stride..(index + 1) * stride;
+                    store(&mut sampled.sh[own.clone()], &estimate.sh);
+                    if settings.coefficient_errors {
+                        store(&mut sampled.coefficient_error[own], &estimate.coefficient_error);
+                    }
+                    sampled.estimates[index] = Summary::from(estimate);
+                    sampled.samples += estimate.samples;
                 }
-                sampled.estimates[index] = Summary::from(estimate);
-                sampled.samples += estimate.samples;
-            }
-            sampled.rays += rays;
-            drop(sampled);
-            (control.progress)(estimates.len() as u64, rays);
-            Ok(())
-        },
-    )?;
-    Ok(sampled.into_inner().expect("no worker panicked"))
+                sampled.rays += rays;
+                drop(sampled);
+                (control.progress)(estimates.len() as u64, rays);
+                Ok(())
+            },
+        )
+    }
 }
 
 fn store(out: &mut [f32], moments: &Moments) {
@@ -347,11 +429,11 @@ fn punctual_light(function: &impl RadianceFunction, origin: Vec3, rays: &mut u64
 /// Invalid nodes take the light of valid ones: on a grid layer by layer from their neighbours' mean, elsewhere
 /// from the nearest. If none is valid they stay black, and the caller has to say so.
 fn fill_invalid(nodes: &Nodes, baked: &mut Baked) {
-    if baked.valid.iter().all(|v| *v) || !baked.valid.iter().any(|v| *v) {
+    let mut known: Vec<bool> = (0..nodes.len()).map(|node| baked.is_valid(node)).collect();
+    if known.iter().all(|v| *v) || !known.iter().any(|v| *v) {
         return;
     }
     let stride = 3 * sh::coefficient_count(baked.bands);
-    let mut known = baked.valid.clone();
     if let Nodes::Grid(grid) = nodes {
         let [nx, ny, nz] = grid.counts.map(|c| c as usize);
         let neighbours = |index: usize| {

@@ -16,11 +16,11 @@ use super::punctual::Punctual;
 use super::regions::{Regions, Surroundings, bright_regions};
 use super::sky::{Distant, Sky};
 use super::surface_light::SurfaceLight;
-use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen};
+use super::{PathContext, Radiance, RadianceFunction, Seen};
 use crate::panorama::Panorama;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Role, Scene};
-use crate::trace::{Frame, Hit, Surfaces};
+use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
 
 /// A light probe, placed in the world.
 #[derive(Debug, Clone)]
@@ -551,6 +551,10 @@ impl<'a> Gdibl<'a> {
 impl RadianceFunction for Gdibl<'_> {
     fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    fn level(&self) -> Level<'_> {
+        Level::new(self.scene, [self.environment.as_ref(), self.objects.as_ref()])
     }
 
     fn guide(&self) -> &Guide {

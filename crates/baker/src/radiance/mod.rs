@@ -16,8 +16,7 @@ mod surface_light;
 use glam::Vec3;
 
 use crate::sampling::Stream;
-use crate::scene::Scene;
-use crate::trace::{Frame, Hit, Surfaces};
+use crate::trace::{Frame, Level};
 pub use guide::{Guide, Technique, UNIFORM_SHARE};
 pub use outlook::{Glance, GlanceSums, Outlook};
 pub use seen::Seen;
@@ -27,6 +26,9 @@ pub use sky::Distant;
 pub trait RadianceFunction: Sync {
     /// World ↔ trace positions.
     fn frame(&self) -> &Frame;
+
+    /// All surfaces that rays meet.
+    fn level(&self) -> Level<'_>;
 
     /// Which directions are worth a ray.
     fn guide(&self) -> &Guide;
@@ -50,22 +52,6 @@ pub trait RadianceFunction: Sync {
     /// Calls `add(direction, irradiance)` for every punctual light that is seen from `origin`: the direct light, of which
     /// [`RadianceFunction::radiance`] tells nothing.
     fn punctual(&self, origin: Vec3, context: &mut PathContext, add: impl FnMut(Vec3, Vec3));
-}
-
-/// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
-const MAX_LAYERS: u32 = 64;
-
-/// The nearest surface along a ray (trace space) that shows itself: what lets half through or more does not.
-fn shown_surface(scene: &Scene, surfaces: &Surfaces, origin: Vec3, direction: Vec3) -> Option<Hit> {
-    let mut passed = 0.0;
-    for _ in 0..MAX_LAYERS {
-        let hit = surfaces.closest(scene, origin, direction, passed, f32::INFINITY)?;
-        if hit.opacity > 0.5 {
-            return Some(hit);
-        }
-        passed = hit.t;
-    }
-    None
 }
 
 /// Radiance that arrives along a ray.

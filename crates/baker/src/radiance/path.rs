@@ -14,11 +14,11 @@ use super::emitters::{Receiver, bright_triangles, solid_angle_density};
 use super::guide::Guide;
 use super::punctual::{Arriving, Punctual};
 use super::sky::{Distant, Sky};
-use super::{MAX_LAYERS, PathContext, Radiance, RadianceFunction, Seen, shown_surface};
+use super::{PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
 use crate::sampling::cosine_hemisphere;
 use crate::scene::{Role, Scene};
-use crate::trace::{Frame, Hit, Surfaces};
+use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
 
 /// How paths are traced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,7 +92,7 @@ impl<'a> Path<'a> {
 
     /// The nearest surface along a ray (trace space) that shows itself: what lets half through or more does not.
     pub fn surface(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        shown_surface(self.scene, self.surfaces.as_ref()?, origin, direction)
+        self.surfaces.as_ref()?.shown(self.scene, origin, direction, f32::INFINITY)
     }
 
     /// The hit is on the back of a single-sided triangle: who sees it stands in a solid, or outside of the level.
@@ -276,6 +276,10 @@ impl<'a> Path<'a> {
 impl RadianceFunction for Path<'_> {
     fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    fn level(&self) -> Level<'_> {
+        Level::new(self.scene, [self.surfaces.as_ref(), None])
     }
 
     fn guide(&self) -> &Guide {

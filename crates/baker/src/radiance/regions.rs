@@ -19,7 +19,6 @@ use std::f64::consts::PI;
 
 use super::emitters::Emitter;
 use super::gdibl::{PlacedProbe, Probe};
-use super::shown_surface;
 use crate::panorama::{Panorama, brightness};
 use crate::scene::Scene;
 use crate::trace::{Frame, Hit, Surfaces};
@@ -315,7 +314,7 @@ impl<'a> Search<'a> {
     /// The surface that the probe shows there.
     fn meet(&self, direction: Vec3) -> Option<Hit> {
         let Surroundings { scene, environment, placed, .. } = self.around;
-        shown_surface(scene, environment, placed[self.own].position, direction)
+        environment.shown(scene, placed[self.own].position, direction, f32::INFINITY)
     }
 
     /// Corners of a block on the plane of `middle`, if what the probe shows in the block lies on it.

@@ -5,6 +5,7 @@
 //! the origin or a thousand kilometres away, are traced alike.
 
 mod collapse;
+mod level;
 mod simd;
 mod tree;
 mod triangle;
@@ -12,10 +13,15 @@ mod triangle;
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use crate::scene::{Alpha, Material, Mesh, Scene};
+pub(crate) use level::MAX_LAYERS;
+pub use level::{Level, Met};
 pub use tree::{Tree, TreeHit};
 
 /// Half the size of the level in trace units lies in `TRACE_EXTENT/2 ..= TRACE_EXTENT`.
 const TRACE_EXTENT: f64 = 512.0;
+
+/// Two triangles lie in one place if a ray meets them within this share of its length.
+const BACK_TO_BACK: f32 = 1e-5;
 
 /// World ↔ trace positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -164,6 +170,29 @@ impl Surfaces {
         }?;
         let back = geometric_normal(&self.corners[hit.triangle as usize]).dot(direction) > 0.0;
         Some(Hit { t: hit.t, opacity, ..self.point(hit.triangle, Vec2::new(hit.v, hit.w), back) })
+    }
+
+    /// The nearest surface along the ray with `t < t_max` that shows itself: what lets half through or more does not.
+    pub fn shown(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
+        let mut passed = 0.0;
+        for _ in 0..MAX_LAYERS {
+            let hit = self.closest(scene, origin, direction, passed, t_max)?;
+            if hit.opacity > 0.5 {
+                return Some(hit);
+            }
+            passed = hit.t;
+        }
+        None
+    }
+
+    /// The front of some opaque triangle lies where a ray met a back, at `t`: two that stand back to back.
+    pub(super) fn has_front_at(&self, origin: Vec3, direction: Vec3, t: f32) -> bool {
+        let mut found = false;
+        self.tree.any(origin, direction, t * (1.0 - BACK_TO_BACK), t * (1.0 + BACK_TO_BACK), |hit| {
+            found |= geometric_normal(&self.corners[hit.triangle as usize]).dot(direction) < 0.0;
+            !found
+        });
+        found
     }
 
     /// A place on a triangle, seen from its front or back; opaque, at t = 0.

@@ -170,7 +170,7 @@ pub fn bake_points(function: &impl RadianceFunction, points: &[DVec3], settings:
 /// Largest relative error of E = πL over nodes and 100 normals.
 pub fn furnace_error(function: &Gdibl, points: &[DVec3], settings: &BakeSettings, radiance: [f32; 3]) -> f64 {
     let baked = bake_points(function, points, settings);
-    assert!(baked.valid.iter().all(|v| *v));
+    assert!(baked.is_all_valid());
     let mut worst = 0.0f64;
     for node in 0..points.len() {
         let irradiance = sh_of(&baked, node).convolve();
@@ -217,7 +217,7 @@ pub fn strength(sh: &RadianceSh) -> f64 {
 
 /// Standard errors of E as the bake claims them: its relative errors are over a tenth of the median at least.
 pub fn standard_errors(baked: &Baked) -> Vec<f64> {
-    let strengths: Vec<f64> = (0..baked.valid.len()).map(|node| strength(&sh_of(baked, node))).collect();
+    let strengths: Vec<f64> = (0..baked.len()).map(|node| strength(&sh_of(baked, node))).collect();
     let floor = 0.1 * median(strengths.clone());
     strengths.iter().zip(&baked.relative_error).map(|(e, error)| f64::from(*error) * e.max(floor)).collect()
 }

@@ -61,6 +61,7 @@ fn white_furnace_holds_where_half_of_the_level_was_never_seen() {
     add(&mut scene, Role::Environment, &box_of(DVec3::splat(-3.0), DVec3::splat(3.0)));
     let [a, b, c, d] = [[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]].map(|[x, y]| DVec3::new(x, y, 1.0));
     add(&mut scene, Role::Environment, &[[a, b, c], [a, c, d]]);
+    scene.materials[0].double_sided = true;
     let probes = [probe(DVec3::new(0.5, 0.5, -2.0), 16, |_| [2.0; 3])];
     let seen = bake_points(&gdibl(&scene, &probes, None), &[DVec3::new(0.0, 0.0, 0.5)], &SMALL);
     assert_eq!(seen.coverage, [1.0]);

@@ -14,3 +14,4 @@ mod remembered;
 mod render;
 mod statistics;
 mod sun;
+mod walls;

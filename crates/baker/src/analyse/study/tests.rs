@@ -1,6 +1,6 @@
 use super::*;
 use crate::analyse::{CompareSettings, Truth, TruthLight, TruthNoise, compare, radiance_sh};
-use crate::bake::{Baked, Nodes};
+use crate::bake::{Baked, Nodes, Standing};
 use crate::sampling::{Sampler, Stream};
 use crate::volume::volume_of;
 use gdibl_runtime::RadianceSh;
@@ -49,7 +49,9 @@ fn volume(light: &[RadianceSh]) -> Volume {
     let baked = Baked {
         bands: 2,
         sh: light.iter().flat_map(|l| l.coefficients[..9].to_vec()).flatten().collect(),
-        valid: vec![true; PLACES],
+        standing: vec![Standing::Open; PLACES],
+        moved: Vec::new(),
+        walls: None,
         coverage: vec![1.0; PLACES],
         relative_error: vec![0.01; PLACES],
         worst_error: Vec::new(),

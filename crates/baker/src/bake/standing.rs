@@ -1,0 +1,241 @@
+//! Where nodes stand: in the open, in a solid, or outside of the level; and where the light of those is taken that can step
+//! out of what they stand in.
+//!
+//! A node looks around before it is baked. Who sees the backs of single-sided triangles in more than a quarter of all
+//! directions is in a solid, or, where light could escape from there, outside of the level: it is not baked, unless a small
+//! step within its cell brings it into the open. Double-sided triangles tell nothing so early, for rooms are made of them
+//! with either side inward; who sees their backs and then finds next to no light was in a solid, too.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::Nodes;
+use crate::radiance::{RadianceFunction, SOLID_BACKS};
+use crate::sampling::fibonacci_sphere;
+use crate::trace::{Level, Met};
+
+/// What a node stands in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Standing {
+    /// In the open: baked.
+    #[default]
+    Open,
+    /// In the open, but nothing it sees is known: no probe has seen it.
+    Uncovered,
+    /// In a solid.
+    Solid,
+    /// Behind the level's surfaces, where light escapes.
+    Outside,
+}
+
+/// Directions in which a node looks around; whoever is in doubt looks more closely.
+const LOOKS: usize = 64;
+const CLOSE_LOOKS: usize = 512;
+/// Shares of backs between which a node is in doubt.
+const DOUBT: std::ops::Range<f64> = 0.1..0.45;
+/// A node stands off a surface by this share of the distance between nodes, if it stood nearer. A hundredth: close enough
+/// to be the light there, far enough for half of its rays to miss that surface.
+const OFF_SURFACES: f64 = 0.01;
+/// And whoever steps out of a solid goes so far past its surface.
+const PAST_SURFACES: f32 = 0.05;
+/// Least distance from surfaces, trace units: a tenth of a millimetre in a room.
+const LEAST_OFF: f32 = 5e-3;
+/// Ways out that are tried.
+const MOST_STEPS: usize = 8;
+
+/// What all nodes stand in, and where each one's rays start.
+#[derive(Debug)]
+pub(super) struct Sites {
+    /// Per node. Of `Open` ones some may be [`suspects`](Sites::suspects).
+    pub standing: Vec<Standing>,
+    /// Those whose rays start elsewhere than [`Nodes::ray_origin`], in order; trace space.
+    moved: Vec<(u32, Vec3)>,
+    /// Open nodes that see many backs of double-sided triangles, in order.
+    pub suspects: Vec<u32>,
+}
+
+/// Where a node stands after a look around.
+struct Site {
+    place: Vec3,
+    standing: Standing,
+    is_suspect: bool,
+}
+
+/// What is seen all around.
+struct Look {
+    /// Share of single-sided backs, of all backs, and of what escapes.
+    solid: f64,
+    backs: f64,
+    escapes: f64,
+    met: Vec<Met>,
+}
+
+impl Sites {
+    /// Looks around at every node.
+    pub fn find(nodes: &Nodes, function: &impl RadianceFunction) -> Sites {
+        let level = function.level();
+        if level.is_empty() {
+            return Sites { standing: vec![Standing::Open; nodes.len()], moved: Vec::new(), suspects: Vec::new() };
+        }
+        let around = Around::new(level, nodes, function.frame().scale);
+        let origin = |index: usize| nodes.ray_origin(index, function.frame());
+        let found: Vec<Site> = (0..nodes.len()).into_par_iter().map(|index| around.settle(origin(index))).collect();
+        let mut sites = Sites { standing: Vec::new(), moved: Vec::new(), suspects: Vec::new() };
+        for (index, site) in found.iter().enumerate() {
+            sites.standing.push(site.standing);
+            if site.place != origin(index) {
+                sites.moved.push((index as u32, site.place));
+            }
+            if site.is_suspect {
+                sites.suspects.push(index as u32);
+            }
+        }
+        sites
+    }
+
+    /// Nodes that are worth baking, of these.
+    pub fn open(&self, nodes: impl Iterator<Item = u32>) -> Vec<u32> {
+        nodes.filter(|&node| self.standing[node as usize] == Standing::Open).collect()
+    }
+
+    /// Where the rays of a node start, trace space.
+    pub fn place(&self, node: u32, nodes: &Nodes, function: &impl RadianceFunction) -> Vec3 {
+        match self.moved.binary_search_by_key(&node, |moved| moved.0) {
+            Ok(found) => self.moved[found].1,
+            Err(_) => nodes.ray_origin(node as usize, function.frame()),
+        }
+    }
+
+    /// Suspects that turned out dark are in solids; those of them that find a way out are returned, to be baked there.
+    pub fn step_out(&mut self, dark: &[u32], nodes: &Nodes, function: &impl RadianceFunction) -> Vec<u32> {
+        let around = Around::new(function.level(), nodes, function.frame().scale);
+        let way_out = |&node: &u32| {
+            let place = self.place(node, nodes, function);
+            let look = around.look(place, CLOSE_LOOKS);
+            around.way_out(place, &look, |met| met.back, |look| look.backs <= SOLID_BACKS)
+        };
+        let found: Vec<Option<Vec3>> = dark.par_iter().map(way_out).collect();
+        let mut out = Vec::new();
+        for (&node, place) in dark.iter().zip(found) {
+            self.standing[node as usize] = Standing::Solid;
+            if let Some(place) = place {
+                match self.moved.binary_search_by_key(&node, |moved| moved.0) {
+                    Ok(found) => self.moved[found].1 = place,
+                    Err(at) => self.moved.insert(at, (node, place)),
+                }
+                out.push(node);
+            }
+        }
+        out
+    }
+
+    /// Nodes whose light is taken elsewhere, and where, world metres.
+    pub fn moved(&self, function: &impl RadianceFunction) -> Vec<(u32, DVec3)> {
+        let open = self.moved.iter().filter(|(node, _)| self.standing[*node as usize] == Standing::Open);
+        open.map(|&(node, place)| (node, function.frame().to_world(place))).collect()
+    }
+}
+
+/// Looking around, with what is the same for all nodes.
+struct Around<'a> {
+    level: Level<'a>,
+    few: Vec<Vec3>,
+    many: Vec<Vec3>,
+    /// Half the distance between nodes per axis, trace units; zero where nodes do not move.
+    reach: Vec3,
+    /// Vertices have left theirs already.
+    leaves_surfaces: bool,
+    /// Distance from surfaces, trace units.
+    off: f32,
+    past: f32,
+}
+
+impl<'a> Around<'a> {
+    fn new(level: Level<'a>, nodes: &Nodes, scale: f64) -> Around<'a> {
+        let spacing = match nodes {
+            Nodes::Grid(grid) => DVec3::from(grid.spacing()) * scale,
+            Nodes::Points(_) | Nodes::Vertices { .. } => DVec3::ZERO,
+        };
+        let least = spacing.to_array().into_iter().filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min);
+        let least = if least.is_finite() { least as f32 } else { 0.0 };
+        Around {
+            level,
+            few: fibonacci_sphere(LOOKS),
+            many: fibonacci_sphere(CLOSE_LOOKS),
+            reach: (spacing / 2.0).as_vec3(),
+            leaves_surfaces: !matches!(nodes, Nodes::Vertices { .. }),
+            off: (least * OFF_SURFACES as f32).max(LEAST_OFF),
+            past: (least * PAST_SURFACES).max(LEAST_OFF),
+        }
+    }
+
+    /// Moves a node off the surfaces it stands on, and out of the solid it stands in, if it may move.
+    fn settle(&self, place: Vec3) -> Site {
+        let place = if self.leaves_surfaces { self.off_surfaces(place) } else { place };
+        let look = self.look(place, LOOKS);
+        let look = if DOUBT.contains(&look.backs) { self.look(place, CLOSE_LOOKS) } else { look };
+        if look.solid <= SOLID_BACKS {
+            return Site { place, standing: Standing::Open, is_suspect: look.backs > SOLID_BACKS };
+        }
+        let free = |look: &Look| look.solid <= SOLID_BACKS;
+        match self.way_out(place, &look, |met| met.back && met.single_sided, free) {
+            Some(place) => Site { place, standing: Standing::Open, is_suspect: false },
+            None if look.escapes > 0.0 => Site { place, standing: Standing::Outside, is_suspect: false },
+            None => Site { place, standing: Standing::Solid, is_suspect: false },
+        }
+    }
+
+    fn look(&self, place: Vec3, count: usize) -> Look {
+        let directions = if count == LOOKS { &self.few } else { &self.many };
+        let met: Vec<Met> =
+            directions.iter().filter_map(|direction| self.level.meet(place, *direction, f32::INFINITY)).collect();
+        let share = |of: &dyn Fn(&&Met) -> bool| met.iter().filter(of).count() as f64 / count as f64;
+        Look {
+            solid: share(&|met| met.back && met.single_sided),
+            backs: share(&|met| met.back),
+            escapes: 1.0 - met.len() as f64 / count as f64,
+            met,
+        }
+    }
+
+    /// A place in a surface, where half of all rays would leave through it, goes to the front of it, a little off; and so does
+    /// one that is hardly in front.
+    fn off_surfaces(&self, mut place: Vec3) -> Vec3 {
+        for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
+            let way = axis * (2.0 * self.off);
+            for (from, way) in [(place - way * 0.5, way), (place + way * 0.5, -way)] {
+                let Some(met) = self.level.meet(from, way, 1.0) else { continue };
+                let front = if met.back { -met.normal } else { met.normal };
+                let height = (place - met.position).dot(front);
+                if height.abs() < self.off {
+                    place += front * (self.off - height);
+                }
+                break;
+            }
+        }
+        place
+    }
+
+    /// The nearest place past one of the surfaces that count as a way out, within the node's share of its cells, that is in
+    /// the open.
+    fn way_out(
+        &self,
+        place: Vec3,
+        look: &Look,
+        is_way: impl Fn(&Met) -> bool,
+        is_open: impl Fn(&Look) -> bool,
+    ) -> Option<Vec3> {
+        // Straight through the plane of each surface, and where a ray met it.
+        let ways = look.met.iter().filter(|met| is_way(met)).flat_map(|met| {
+            let out = -met.normal;
+            let straight = out * ((met.position - place).dot(out) + self.past);
+            [straight, met.position - place + out * self.past]
+        });
+        let mut steps: Vec<Vec3> = ways.filter(|step| step.abs().cmple(self.reach).all()).collect();
+        steps.sort_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
+        // Many rays meet the same wall.
+        steps.dedup_by(|a, b| a.distance_squared(*b) < self.past * self.past);
+        let mut places = steps.into_iter().take(MOST_STEPS).map(|step| place + step);
+        places.find(|place| is_open(&self.look(*place, CLOSE_LOOKS)))
+    }
+}

@@ -1,0 +1,438 @@
+//! Walls between nodes: which parts of a cell which of its corners can see.
+//!
+//! A cell in which some corner cannot see another is looked at from many places: spread over it, and on the surfaces in it.
+//! From each, rays tell which corners it sees. Then up to three planes, of the surfaces that were in the way, cut the cell
+//! into parts, so that places of one part agree on what they see as well as can be; a part's mask names the corners that
+//! most of it sees. The runtime interpolates between those alone. A wall with two faces is cut in the middle: so places on
+//! its faces fall to their own side, however thin it is. What changes light by next to nothing is left out.
+
+use gdibl_runtime::grid::Grid;
+use gdibl_runtime::sh;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use std::collections::{HashMap, HashSet};
+
+use super::Baked;
+use crate::radiance::RadianceFunction;
+use crate::trace::{Frame, Level};
+
+/// Most planes that cut a cell.
+pub const MOST_PLANES: usize = gdibl_runtime::walls::MOST_PLANES;
+pub use gdibl_runtime::walls::{Plane, WallCell};
+
+/// What the runtime needs to keep light on its side of walls.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Walls {
+    /// A position p, relative to the grid's min, is on the positive side if normal·p > distance.
+    pub planes: Vec<Plane>,
+    /// In order of their cells.
+    pub cells: Vec<WallCell>,
+    /// Cells with walls that need more planes than there may be in a file.
+    pub dropped: usize,
+}
+
+/// Places per axis from which a cell is looked at.
+const PER_AXIS: usize = 4;
+/// Places on a surface stand off it by this share of the distance between nodes: the runtime's own bias.
+const OFF_SURFACES: f32 = gdibl_runtime::walls::BIAS;
+/// At least so far, trace units: some ulps.
+const LEAST_OFF: f32 = 5e-4;
+/// Places so far beyond a face, as a share of the cell, are in it, too: those on a surface that lies in the face.
+const SLACK: f32 = 1e-3;
+/// A further plane must take this share of what is wrong without any.
+const LEAST_GAIN: f32 = 0.1;
+/// A cell is cut if that changes irradiance in it by this, relative and on average.
+const LEAST_CHANGE: f64 = 0.01;
+/// Places before and beyond a face are off it by this share of half a cell.
+const ACROSS: f32 = 0.02;
+/// A corner of less weight at a face matters to nobody there.
+const LEAST_WEIGHT: f32 = 0.05;
+/// Irradiance under this share of the volume's median is black.
+const BLACK: f64 = 1e-3;
+
+/// Looks at every cell of a grid whose nodes' light is taken at `place` (trace space).
+pub(super) fn find(
+    grid: &Grid,
+    baked: &Baked,
+    function: &impl RadianceFunction,
+    place: impl Fn(u32) -> Vec3 + Sync,
+) -> Option<Walls> {
+    let level = function.level();
+    if level.is_empty() || grid.node_count() < 2 {
+        return None;
+    }
+    let frame = function.frame();
+    let spacing = grid.spacing().into_iter().filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min) * frame.scale;
+    let search = Search {
+        grid,
+        frame,
+        level,
+        baked,
+        place: &place,
+        off: (spacing as f32 * OFF_SURFACES).max(LEAST_OFF),
+        black: BLACK * median_irradiance(baked),
+    };
+    let found: Vec<(u32, Cut)> = (0..grid.node_count() as u32)
+        .into_par_iter()
+        .filter(|node| grid.is_cell(*node))
+        .filter_map(|node| search.cut(node).map(|cut| (node, cut)))
+        .collect();
+    if found.is_empty() {
+        return None;
+    }
+    let ends = search.ends(&found);
+    Some(search.collect(found, &ends))
+}
+
+fn median_irradiance(baked: &Baked) -> f64 {
+    let nodes = (0..baked.len()).filter(|node| baked.is_valid(*node));
+    let mut all: Vec<f64> = nodes.map(|node| strength(&irradiance_of(baked.node(node)))).collect();
+    if all.is_empty() {
+        return 0.0;
+    }
+    let middle = all.len() / 2;
+    *all.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Values of E's own coefficients, up to L2: see [`sh::COSINE`]. Their root sum of squares is that of E over all normals.
+type Irradiance = [f32; 27];
+
+fn irradiance_of(radiance: &[f32]) -> Irradiance {
+    let mut values = [0.0; 27];
+    for (index, (value, radiance)) in values.iter_mut().zip(radiance).enumerate() {
+        *value = radiance * sh::COSINE[sh::band_of(index / 3)];
+    }
+    values
+}
+
+fn strength(irradiance: &Irradiance) -> f64 {
+    irradiance.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt()
+}
+
+/// What all cells share.
+struct Search<'a, P> {
+    grid: &'a Grid,
+    frame: &'a Frame,
+    level: Level<'a>,
+    baked: &'a Baked,
+    place: &'a P,
+    off: f32,
+    black: f64,
+}
+
+/// A place from which a cell is looked at.
+struct Witness {
+    /// Relative to the cell's middle, trace units.
+    position: Vec3,
+    /// Trilinear.
+    weights: [f32; 8],
+    /// Corners that it sees: bit k for corner k.
+    seen: u8,
+}
+
+/// A plane through a cell: n·p = d, p relative to the cell's middle, trace units.
+#[derive(Debug, Clone, Copy)]
+struct Split {
+    normal: Vec3,
+    distance: f32,
+}
+
+/// How a cell is cut.
+struct Cut {
+    middle: Vec3,
+    splits: Vec<Split>,
+    masks: [u8; 1 << MOST_PLANES],
+}
+
+/// A cell's box and corners.
+struct Cell {
+    nodes: [u32; 8],
+    middle: Vec3,
+    half: Vec3,
+    /// Where each corner's light is taken, trace space.
+    places: [Vec3; 8],
+    /// Corners with light of their own.
+    valid: u8,
+}
+
+impl Cell {
+    /// `None` outside of the cell.
+    fn weights(&self, position: Vec3) -> Option<[f32; 8]> {
+        let share = Vec3::from_array(std::array::from_fn(|axis| match self.half[axis] > 0.0 {
+            true => 0.5 + 0.5 * position[axis] / self.half[axis],
+            false => 0.5,
+        }));
+        let inside = share.cmpge(Vec3::splat(-SLACK)).all() && share.cmple(Vec3::splat(1.0 + SLACK)).all();
+        let share = share.clamp(Vec3::ZERO, Vec3::ONE);
+        inside.then(|| {
+            std::array::from_fn(|corner| {
+                let along = |axis: usize| if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
+                along(0) * along(1) * along(2)
+            })
+        })
+    }
+}
+
+impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
+    fn cell(&self, lowest: u32) -> Cell {
+        let nodes = self.grid.cell_nodes(lowest);
+        let is_valid = |corner: &usize| self.baked.is_valid(nodes[*corner] as usize);
+        let valid = (0..8).filter(is_valid).map(|corner| 1 << corner).sum();
+        let (min, max) = self.grid.cell_box(lowest);
+        let (min, max) = (self.frame.to_trace(min.into()), self.frame.to_trace(max.into()));
+        Cell {
+            nodes,
+            middle: (min + max) / 2.0,
+            half: (max - min) / 2.0,
+            places: nodes.map(|node| (self.place)(node)),
+            valid,
+        }
+    }
+
+    /// How to cut a cell; `None` where there is no need.
+    fn cut(&self, lowest: u32) -> Option<Cut> {
+        let cell = self.cell(lowest);
+        if !self.has_wall(&cell) {
+            return None;
+        }
+        let light = cell.nodes.map(|node| irradiance_of(self.baked.node(node as usize)));
+        let (witnesses, candidates) = self.look(&cell);
+        let splits = choose(&witnesses, cell.valid, candidates);
+        let masks = masks(&witnesses, cell.valid, &splits);
+        let (mut change, mut count) = (0.0, 0.0);
+        for witness in &witnesses {
+            let seen = interpolate(&witness.weights, witness.seen, &light);
+            let Some(seen) = seen else { continue };
+            let scale = strength(&seen).max(self.black).max(f64::MIN_POSITIVE);
+            let off = |mask: u8| {
+                let there = interpolate(&witness.weights, mask, &light).unwrap_or(seen);
+                (strength(&std::array::from_fn(|i| there[i] - seen[i])) / scale).min(1.0)
+            };
+            change += off(cell.valid) - off(masks[leaf(witness.position, &splits)]);
+            count += 1.0;
+        }
+        (change > LEAST_CHANGE * count).then_some(Cut { middle: cell.middle, splits, masks })
+    }
+
+    /// Some corner cannot see another, along the cell's edges or across it.
+    fn has_wall(&self, cell: &Cell) -> bool {
+        let pairs = (0..8usize).flat_map(|a| [1, 2, 4, 7].map(|bit| (a, a ^ bit)));
+        let mut pairs = pairs
+            .filter(|(a, b)| a < b && cell.nodes[*a] != cell.nodes[*b] && cell.valid >> a & cell.valid >> b & 1 == 1);
+        pairs.any(|(a, b)| !self.level.is_clear(cell.places[a], cell.places[b]))
+    }
+
+    /// Places in a cell with what they see, and planes of what they do not see through.
+    fn look(&self, cell: &Cell) -> (Vec<Witness>, Vec<Split>) {
+        let (mut witnesses, mut splits) = (Vec::new(), Vec::new());
+        let mut on_surfaces = Vec::new();
+        for index in 0..PER_AXIS.pow(3) {
+            let position = cell.half * inner_place(index);
+            let Some(witness) = self.witness(cell, position) else { continue };
+            // What the runtime would read most of, and should not.
+            let hidden = (0..8usize).filter(|corner| cell.valid & !witness.seen & 1 << corner != 0);
+            let worst = hidden.max_by(|a, b| witness.weights[*a].total_cmp(&witness.weights[*b]));
+            if let Some(worst) = worst {
+                let (from, to) = (cell.middle + position, cell.places[worst]);
+                let near = self.level.meet(from, to - from, 1.0);
+                let far = self.level.meet(to, from - to, 1.0);
+                if let (Some(near), Some(far)) = (near, far) {
+                    splits.extend(splits_between([near, far].map(|met| (met.position - cell.middle, met.normal))));
+                    on_surfaces.extend([near, far].map(|met| met.position - cell.middle + met.normal * self.off));
+                }
+            }
+            witnesses.push(witness);
+        }
+        witnesses.extend(on_surfaces.into_iter().filter_map(|position| self.witness(cell, position)));
+        let own = (0..8).filter(|corner| cell.valid & 1 << corner != 0).map(|corner| cell.places[corner] - cell.middle);
+        witnesses.extend(own.filter_map(|position| self.witness(cell, position)));
+        (witnesses, splits)
+    }
+
+    /// `None` outside of the cell, and where no corner is seen from: in a solid, most likely.
+    fn witness(&self, cell: &Cell, position: Vec3) -> Option<Witness> {
+        let weights = cell.weights(position)?;
+        let from = cell.middle + position;
+        let sees = |corner: &usize| {
+            let to = cell.places[*corner];
+            from == to || self.level.is_clear(from, to)
+        };
+        let corners = (0..8usize).filter(|corner| cell.valid & 1 << corner != 0);
+        let seen = corners.filter(sees).map(|corner| 1 << corner).sum();
+        (seen != 0).then_some(Witness { position, weights, seen })
+    }
+
+    /// Nodes at which walls end: those of a face between a cell that is cut and one that is not, where the former hides some of
+    /// them from a place in the open.
+    fn ends(&self, found: &[(u32, Cut)]) -> HashSet<u32> {
+        let cuts: HashSet<u32> = found.iter().map(|(cell, _)| *cell).collect();
+        let of_face = |lowest: u32, cut: &Cut, axis: usize, side: usize| -> Option<[u32; 4]> {
+            let cell = self.cell(lowest);
+            let beyond = self.grid.neighbour_cell(lowest, axis, side == 1)?;
+            if cuts.contains(&beyond) {
+                return None;
+            }
+            let corners = (0..8usize).filter(|corner| corner >> axis & 1 == side);
+            let hides = |index: usize| {
+                let mut place = inner_place(index);
+                place[axis] = if side == 1 { 1.0 } else { -1.0 };
+                // Just before the face and just beyond it, with nothing between.
+                let [before, beyond] = [1.0 - ACROSS, 1.0 + ACROSS].map(|share| {
+                    let mut place = place;
+                    place[axis] *= share;
+                    cell.half * place
+                });
+                if !self.level.is_clear(cell.middle + before, cell.middle + beyond) {
+                    return false;
+                }
+                let Some(witness) = self.witness(&cell, before) else { return false };
+                let mask = match cut.masks[leaf(witness.position, &cut.splits)] {
+                    0 => return false,
+                    mask => mask,
+                };
+                corners.clone().any(|k| cell.valid & !mask & 1 << k != 0 && witness.weights[k] > LEAST_WEIGHT)
+            };
+            let nodes: Vec<u32> = corners.clone().map(|corner| cell.nodes[corner]).collect();
+            (0..PER_AXIS * PER_AXIS).any(hides).then(|| nodes.try_into().expect("a face has four corners"))
+        };
+        let faces = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]).collect::<Vec<_>>();
+        let ends = found.par_iter().flat_map_iter(|(lowest, cut)| {
+            faces.iter().filter_map(move |&(axis, side)| of_face(*lowest, cut, axis, side))
+        });
+        ends.collect::<Vec<_>>().into_iter().flatten().collect()
+    }
+
+    /// All cuts, with one table of planes.
+    fn collect(&self, found: Vec<(u32, Cut)>, ends: &HashSet<u32>) -> Walls {
+        let mut walls = Walls::default();
+        let mut numbers: HashMap<[i64; 4], u16> = HashMap::new();
+        let min = DVec3::from(self.grid.min);
+        for (cell, Cut { middle, splits, masks }) in found {
+            let mut planes = [WallCell::NO_PLANE; MOST_PLANES];
+            let mut fits = true;
+            for (plane, split) in planes.iter_mut().zip(splits) {
+                let on_it = self.frame.to_world(middle + split.normal * split.distance) - min;
+                let distance = split.normal.as_dvec3().dot(on_it);
+                let quantum = f64::from(self.off) / self.frame.scale / 8.0;
+                let key = [split.normal.x, split.normal.y, split.normal.z].map(|n| (f64::from(n) * 1e5).round() as i64);
+                let key = [key[0], key[1], key[2], (distance / quantum).round() as i64];
+                let next = walls.planes.len();
+                let number = *numbers.entry(key).or_insert(next.min(usize::from(WallCell::NO_PLANE)) as u16);
+                fits &= number != WallCell::NO_PLANE;
+                if fits && usize::from(number) == next {
+                    walls.planes.push(Plane { normal: split.normal.to_array(), distance: distance as f32 });
+                }
+                *plane = number;
+            }
+            let nodes = self.grid.cell_nodes(cell);
+            let ends = (0..8).filter(|corner| ends.contains(&nodes[*corner])).map(|corner| 1 << corner).sum();
+            match fits {
+                true => walls.cells.push(WallCell { cell, planes, masks, ends }),
+                false => walls.dropped += 1,
+            }
+        }
+        walls
+    }
+}
+
+/// Place number `index` of a cell (-1..1 per axis): one in each of its equal parts, jittered by the golden ratio's kin (R.
+/// Roberts's R3 sequence), so that they line up with no wall.
+fn inner_place(index: usize) -> Vec3 {
+    let part = [index % PER_AXIS, index / PER_AXIS % PER_AXIS, index / PER_AXIS / PER_AXIS];
+    let jitter = [0.819_172_5, 0.671_043_6, 0.549_700_5];
+    Vec3::from_array(std::array::from_fn(|axis| {
+        let within = (0.5 + index as f32 * jitter[axis]).fract();
+        (part[axis] as f32 + within) / PER_AXIS as f32 * 2.0 - 1.0
+    }))
+}
+
+/// Planes of the surfaces that a ray met from either end, each a place and the normal that faces its end. The two faces of
+/// one wall have one plane, in the middle.
+fn splits_between([(near, out), (far, back)]: [(Vec3, Vec3); 2]) -> Vec<Split> {
+    let plane = |normal: Vec3, place: Vec3| {
+        // Of a plane's two normals the one whose greatest part is positive.
+        let largest = normal.abs().max_position();
+        let normal = if normal[largest] < 0.0 { -normal } else { normal };
+        Split { normal, distance: normal.dot(place) }
+    };
+    if out.dot(back) < -0.9 {
+        let normal = (out - back).normalize_or(out);
+        return vec![plane(normal, (near + far) / 2.0)];
+    }
+    vec![plane(out, near), plane(back, far)]
+}
+
+fn leaf(position: Vec3, splits: &[Split]) -> usize {
+    let side = |(bit, split): (usize, &Split)| usize::from(split.normal.dot(position) > split.distance) << bit;
+    splits.iter().enumerate().map(side).sum()
+}
+
+/// Per part of a cell and corner: the trilinear weights of the places there that see it, and of those that do not.
+fn votes(witnesses: &[Witness], splits: &[Split]) -> [[[f32; 2]; 8]; 1 << MOST_PLANES] {
+    let mut votes = [[[0.0; 2]; 8]; 1 << MOST_PLANES];
+    for witness in witnesses {
+        let own = &mut votes[leaf(witness.position, splits)];
+        for (corner, vote) in own.iter_mut().enumerate() {
+            let hidden = witness.seen >> corner & 1 == 0;
+            vote[usize::from(hidden)] += witness.weights[corner];
+        }
+    }
+    votes
+}
+
+/// The planes that make places of each part agree, the most useful first.
+fn choose(witnesses: &[Witness], valid: u8, mut candidates: Vec<Split>) -> Vec<Split> {
+    let wrong = |splits: &[Split]| -> f32 {
+        let votes = votes(witnesses, splits);
+        let corner = |(corner, [seen, hidden]): (usize, &[f32; 2])| match valid >> corner & 1 {
+            0 => 0.0,
+            _ => seen.min(*hidden),
+        };
+        votes.iter().map(|votes| votes.iter().enumerate().map(corner).sum::<f32>()).sum()
+    };
+    let mut splits = Vec::new();
+    let without = wrong(&splits);
+    let mut left = without;
+    let mut distinct: Vec<Split> = Vec::new();
+    for candidate in candidates.drain(..) {
+        let is_known = |known: &Split| {
+            known.normal.dot(candidate.normal) > 0.999_9 && (known.distance - candidate.distance).abs() < 1e-3
+        };
+        if !distinct.iter().any(is_known) {
+            distinct.push(candidate);
+        }
+    }
+    while splits.len() < MOST_PLANES && left > 0.0 {
+        let with = |candidate: &Split| wrong(&[&splits[..], &[*candidate]].concat());
+        let Some(best) = distinct.iter().map(|c| (with(c), *c)).min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        if left - best.0 < LEAST_GAIN * without {
+            break;
+        }
+        splits.push(best.1);
+        left = best.0;
+    }
+    splits
+}
+
+/// Of each part the corners that most of it sees; if that is none, the one that is seen from most of it. A part that nothing
+/// looked from has none.
+fn masks(witnesses: &[Witness], valid: u8, splits: &[Split]) -> [u8; 1 << MOST_PLANES] {
+    votes(witnesses, splits).map(|votes| {
+        let is_seen = |corner: &usize| valid >> corner & 1 == 1 && votes[*corner][0] > votes[*corner][1];
+        let mask: u8 = (0..8usize).filter(is_seen).map(|corner| 1 << corner).sum();
+        let best = (0..8usize).filter(|corner| valid >> corner & 1 == 1 && votes[*corner][0] > 0.0);
+        let best = best.max_by(|a, b| votes[*a][0].total_cmp(&votes[*b][0]).then(b.cmp(a)));
+        if mask == 0 { best.map_or(0, |corner| 1 << corner) } else { mask }
+    })
+}
+
+/// The light of the corners in `mask`; `None` where they have no weight.
+fn interpolate(weights: &[f32; 8], mask: u8, light: &[Irradiance; 8]) -> Option<Irradiance> {
+    let mut sum = [0.0; 27];
+    let mut total = 0.0;
+    for corner in (0..8).filter(|corner| mask >> corner & 1 == 1) {
+        total += weights[corner];
+        sum.iter_mut().zip(&light[corner]).for_each(|(sum, value)| *sum += weights[corner] * value);
+    }
+    (total > 1e-6).then(|| sum.map(|value| value / total))
+}

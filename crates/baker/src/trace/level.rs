@@ -1,0 +1,64 @@
+//! The level as something to stand in: all surfaces, whatever their role, and which places see each other.
+
+use glam::Vec3;
+
+use super::{Hit, Surfaces};
+use crate::scene::Scene;
+
+/// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
+pub(crate) const MAX_LAYERS: u32 = 64;
+
+/// All surfaces of a level; none in plain image based lighting.
+#[derive(Debug, Clone, Copy)]
+pub struct Level<'a> {
+    scene: &'a Scene,
+    surfaces: [Option<&'a Surfaces>; 2],
+}
+
+/// The nearest surface along a ray.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Met {
+    /// Distance in lengths of the ray's direction.
+    pub t: f32,
+    /// Trace position.
+    pub position: Vec3,
+    /// Unit geometric normal, on the ray's side.
+    pub normal: Vec3,
+    /// The ray met the back of the triangle, by its winding, and no front in the same place.
+    pub back: bool,
+    /// The triangle has a back only to close a solid: its material is single-sided.
+    pub single_sided: bool,
+}
+
+impl<'a> Level<'a> {
+    /// Of these surfaces of a scene.
+    pub fn new(scene: &'a Scene, surfaces: [Option<&'a Surfaces>; 2]) -> Level<'a> {
+        Level { scene, surfaces }
+    }
+
+    /// Without a surface.
+    pub fn is_empty(&self) -> bool {
+        self.surfaces.iter().all(Option::is_none)
+    }
+
+    /// The nearest surface along a ray (trace space) that shows itself, nearer than `t_max`.
+    pub fn meet(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Met> {
+        let mut nearest: Option<Met> = None;
+        for surfaces in self.surfaces.into_iter().flatten() {
+            let limit = nearest.map_or(t_max, |met| met.t);
+            if let Some(hit) = surfaces.shown(self.scene, origin, direction, limit) {
+                let Hit { t, position, normal, triangle, .. } = hit;
+                let back = hit.back && !surfaces.has_front_at(origin, direction, t);
+                let single_sided = !surfaces.material(self.scene, triangle).double_sided;
+                nearest = Some(Met { t, position, normal, back, single_sided });
+            }
+        }
+        nearest
+    }
+
+    /// Half of the light or more passes from one place to the other (trace space).
+    pub fn is_clear(&self, from: Vec3, to: Vec3) -> bool {
+        let share = |surfaces: &Surfaces| surfaces.transmittance(self.scene, from, to, None);
+        self.surfaces.into_iter().flatten().map(share).product::<f32>() >= 0.5
+    }
+}

@@ -2,6 +2,7 @@
 
 use crate::bake::{Baked, Nodes, Walls};
 use crate::radiance::RadianceFunction;
+use crate::radiance::exposure::ExposureMatch;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
 use crate::scene::{Alpha, Role, Scene};
@@ -83,6 +84,19 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
         },
         transparency(scene),
     ]
+}
+
+/// Matching the exposures of probes, where it was asked for.
+pub fn match_exposure(matched: &ExposureMatch) -> PlanRow {
+    let row = |kept, why: String| PlanRow::new("match-exposure", kept, why);
+    match (matched.probes.len(), matched.matched_count()) {
+        (0, _) => row(false, "no probe is given".into()),
+        (1, _) => row(false, "one probe: there is none to match it with".into()),
+        (n, 0) => row(false, format!("no lit surface is shared by two of {n} probes")),
+        (n, m) => {
+            row(true, format!("{m} of {n} probes, by {} surface points that two of them show", matched.point_count()))
+        }
+    }
 }
 
 /// The plan of a bake by path tracing.

@@ -3,6 +3,7 @@
 pub mod blend;
 mod effects;
 mod emitters;
+pub mod exposure;
 pub mod gdibl;
 mod guide;
 mod outlook;

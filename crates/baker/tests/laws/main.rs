@@ -3,6 +3,7 @@
 mod blending;
 mod deringing;
 mod exact;
+mod exposure;
 mod extremes;
 mod gather;
 mod geometry;

@@ -101,6 +101,10 @@ pub struct QualityFlags {
     /// Replace NaN, infinite and negative pixels instead of refusing the image
     #[arg(long, num_args = 0, default_missing_value = "true")]
     pub repair_pixels: Option<bool>,
+    /// Match the exposures of photographed probes by surfaces that two or more of them show, and name probes that seem
+    /// misplaced
+    #[arg(long, num_args = 0, default_missing_value = "true")]
+    pub match_exposure: Option<bool>,
     /// Refuse a bake that needs more memory than this, GiB [default: what the machine has free]
     #[arg(long, value_name = "GIB")]
     pub max_memory: Option<f64>,
@@ -467,6 +471,7 @@ impl QualityFlags {
             dering: self.dering.or(file.dering),
             blend: self.blend.or(file.blend),
             repair_pixels: self.repair_pixels.or(file.repair_pixels),
+            match_exposure: self.match_exposure.or(file.match_exposure),
             max_memory: self.max_memory.or(file.max_memory),
         }
     }

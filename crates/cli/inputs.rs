@@ -9,6 +9,7 @@ use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, Panorama, Sun, to_lat_long};
 use gdibl_baker::radiance::Distant;
+use gdibl_baker::radiance::exposure::{ExposureMatch, match_exposure};
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
 use gdibl_baker::scene::{Mesh, Role, Scene};
@@ -28,14 +29,23 @@ pub struct Inputs {
     pub findings: Vec<Finding>,
     /// The probes were captured from the level for want of others, and show reflected light alone.
     pub captured: bool,
+    /// How exposures were matched; `None`: they are as given.
+    pub exposure: Option<ExposureMatch>,
 }
 
 impl Inputs {
-    /// Level, distant panorama, and the probes that are named.
+    /// Level, distant panorama, and the probes that are named, their exposures matched where that is asked for.
     pub fn read(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
         let mut inputs = Inputs::read_level(config, textures)?;
         let entries = probe_entries(config, &inputs.scene)?;
         inputs.read_probes(&entries, config)?;
+        let has_use = config.quality.method.unwrap_or_default() == Method::Gdibl;
+        if has_use && config.quality.match_exposure == Some(true) {
+            let matched = match_exposure(&inputs.scene, &inputs.probes);
+            matched.apply(&mut inputs.probes);
+            inputs.findings.extend(matched.findings());
+            inputs.exposure = Some(matched);
+        }
         Ok(inputs)
     }
 
@@ -53,7 +63,7 @@ impl Inputs {
             // Who needs all textures traces paths.
             findings.extend(specular_left_out(&scene));
         }
-        let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings, captured: false };
+        let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings, captured: false, exposure: None };
         if let Some(entry) = &config.distant {
             let (imported, panorama) = read_panorama(entry, config)?;
             inputs.findings.extend(imported.findings.iter().cloned());

@@ -8,6 +8,7 @@ mod capture;
 mod compare;
 mod config;
 mod dering;
+mod exposure;
 mod furnace;
 mod light;
 mod reader;

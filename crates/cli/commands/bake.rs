@@ -6,6 +6,7 @@ use std::time::Instant;
 use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes, Standing};
 use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
+use gdibl_baker::radiance::exposure::ExposureMatch;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::records::{
@@ -65,6 +66,7 @@ struct Report<'a> {
     walls: Option<WallsRecord>,
     deringing: Option<DeringingRecord>,
     sun: Option<SunRecord>,
+    exposure: Option<&'a ExposureMatch>,
     bytes: u64,
     plan: &'a [PlanRow],
     seed: u64,
@@ -103,6 +105,14 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         },
         false => PlanRow::new("capture", false, no_capture_reason(&inputs, method, arguments.no_capture)),
     };
+    let mut plan = vec![capture];
+    plan.extend(match &inputs.exposure {
+        Some(matched) => Some(plan::match_exposure(matched)),
+        None if config.quality.match_exposure == Some(true) => {
+            Some(PlanRow::new("match-exposure", false, "path tracing needs no probe"))
+        }
+        None => None,
+    });
 
     let job = Job { nodes: &nodes, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
     let walls = plan::walls(&nodes, &inputs.scene, None);
@@ -110,7 +120,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         Method::Gdibl => {
             let gdibl = gdibl_settings(&config.quality, inputs.captured, settings.directions(nodes.len() as u64));
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
-            let plan = [vec![capture], plan::plan(&inputs.scene, &function)].concat();
+            let plan = [plan, plan::plan(&inputs.scene, &function)].concat();
             if arguments.plan {
                 return print_plan([plan, vec![walls]].concat(), &config, arguments.json);
             }
@@ -118,7 +128,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         }
         Method::Path => {
             let path = Path::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config.quality)?);
-            let plan = [vec![capture], plan::plan_path(&inputs.scene, &path)].concat();
+            let plan = [plan, plan::plan_path(&inputs.scene, &path)].concat();
             if arguments.plan {
                 return print_plan([plan, vec![walls]].concat(), &config, arguments.json);
             }
@@ -160,6 +170,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         walls: records.statistics.walls,
         deringing: records.statistics.deringing,
         sun: records.statistics.sun,
+        exposure: inputs.exposure.as_ref(),
         bytes: bytes.len() as u64,
         plan: &records.plan,
         seed: settings.seed,

@@ -72,11 +72,12 @@ pub fn path_settings(config: &Config) -> Result<PathSettings, Fault> {
 pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path) -> Vec<Place> {
     let positions: Vec<DVec3> = if flags.positions.is_empty() {
         let placement = automatic_placement(scene, paths, flags);
-        if let Some(coverage) = placement.coverage.last() {
-            let share = coverage * 100.0;
-            say(&format!("{} probes see {share:.1} % of what the free space sees", placement.positions.len()));
+        if let Some(last) = placement.suggestions.last() {
+            let share = last.after.coverage * 100.0;
+            let count = placement.suggestions.len();
+            say(&format!("{count} probes see {share:.1} % of the surfaces that the free space sees"));
         }
-        placement.positions
+        placement.positions()
     } else {
         flags.positions.iter().map(|p| DVec3::from(*p)).collect()
     };
@@ -89,7 +90,7 @@ pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path)
 pub fn automatic_placement(scene: &Scene, paths: &Paths, flags: &CaptureFlags) -> Placement {
     let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
     let settings = PlaceSettings { most: flags.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
-    bounds.map(|bounds| place_probes(paths, bounds, &settings)).unwrap_or_default()
+    bounds.map(|bounds| place_probes(paths, bounds, &[], &settings)).unwrap_or_default()
 }
 
 /// Captures and writes every place.

@@ -120,7 +120,7 @@ pub struct CaptureFlags {
     /// A probe's place, world metres: x,y,z; repeatable
     #[arg(long = "position", value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true)]
     pub positions: Vec<[f64; 3]>,
-    /// Most probes that --auto places [default: 16]
+    /// Most probes that --auto places [default: 32]
     #[arg(long, value_name = "N")]
     pub most: Option<usize>,
     /// Pixels around the horizon [default: 256]

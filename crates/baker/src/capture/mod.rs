@@ -4,6 +4,7 @@
 //! the centre does): a pixel on an edge does not mix what lies before and behind, because who looks it up asks for
 //! one of the two. Its distance is that of its centre.
 
+pub(crate) mod free_space;
 mod place;
 
 use glam::{DVec3, Vec3};
@@ -15,7 +16,8 @@ use crate::radiance::{PathContext, RadianceFunction};
 use crate::sampling::{Sampler, Stream, streams};
 use crate::trace::Hit;
 use crate::{Control, Interrupted};
-pub use place::{PlaceSettings, Placement, place_probes};
+pub use free_space::are_free;
+pub use place::{PlaceSettings, Placement, Reach, Suggestion, place_probes};
 
 /// How probes are captured.
 #[derive(Debug, Clone, Copy, PartialEq)]

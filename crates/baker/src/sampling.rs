@@ -78,6 +78,8 @@ pub(crate) mod streams {
     pub const SURFACES: u64 = 1 << 60;
     /// Places, and the rays that leave them, of an energy balance.
     pub const ENERGY: u64 = 1 << 59;
+    /// Places on surfaces that are asked whether a probe sees them.
+    pub const COVERAGE: u64 = 1 << 58;
 }
 
 /// SplitMix64's finaliser (Steele, Lea, Flood, 2014): every input bit moves every output bit.

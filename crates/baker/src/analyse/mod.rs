@@ -2,6 +2,7 @@
 
 mod calibration;
 mod compare;
+mod coverage;
 mod energy;
 mod error;
 mod noise;
@@ -14,6 +15,7 @@ pub use compare::{
     Answer, BandsCompared, CompareSettings, Comparison, NoiseUnknown, NothingCompared, Places, SetComparison,
     WorstPlace, compare,
 };
+pub use coverage::{Coverage, CoveragePaint, CoverageView, Covered, PixelSize, Viewpoint, coverage};
 pub use energy::{EnergyBalance, energy_balance};
 pub use error::{BandError, ChannelError, IrradianceError, Light, Pair, radiance_sh};
 pub use summary::{Histogram, NodeFigure, Range, VolumeSummary, summarise};

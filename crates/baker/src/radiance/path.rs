@@ -90,6 +90,11 @@ impl<'a> Path<'a> {
         self.settings.bounces
     }
 
+    /// What is traced.
+    pub(crate) fn surfaces(&self) -> Option<&Surfaces> {
+        self.surfaces.as_ref()
+    }
+
     /// The nearest surface along a ray (trace space) that shows itself: what lets half through or more does not.
     pub fn surface(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
         self.surfaces.as_ref()?.shown(self.scene, origin, direction, f32::INFINITY)

@@ -10,6 +10,7 @@ mod geometry;
 mod level;
 mod light;
 mod paths;
+mod probes;
 mod regions;
 mod remembered;
 mod render;

@@ -275,7 +275,7 @@ fn grid_of(config: &Config, scene: &Scene) -> Result<Nodes, Fault> {
     Ok(Nodes::Grid(grid))
 }
 
-fn parse_bounds(numbers: &[f64]) -> Result<(DVec3, DVec3), Fault> {
+pub fn parse_bounds(numbers: &[f64]) -> Result<(DVec3, DVec3), Fault> {
     let &[x0, y0, z0, x1, y1, z1] = numbers else {
         return Err(Fault::Usage(format!("--bounds: {} numbers; expected x0,y0,z0,x1,y1,z1", numbers.len())));
     };

@@ -28,6 +28,8 @@ enum Verb {
     Bake(Box<commands::bake::Arguments>),
     /// Make light probes from a level's own lights, by path tracing
     Capture(Box<commands::capture::Arguments>),
+    /// Tell what probes have seen of a level, and where further ones should stand
+    Probes(Box<commands::probes::Arguments>),
     /// Tell what is in a volume: sections, grid, validity, error, coverage, settings, plan
     Inspect(commands::inspect::Arguments),
     /// Irradiance, or SH coefficients, at the places of a CSV file
@@ -44,6 +46,7 @@ fn main() -> ExitCode {
     let done = match Arguments::parse().verb {
         Verb::Bake(arguments) => commands::bake::run(*arguments),
         Verb::Capture(arguments) => commands::capture::run(*arguments),
+        Verb::Probes(arguments) => commands::probes::run(*arguments),
         Verb::Inspect(arguments) => commands::inspect::run(arguments),
         Verb::Sample(arguments) => commands::sample::run(arguments),
         Verb::Render(arguments) => commands::render::run(*arguments),

@@ -11,6 +11,7 @@ mod dering;
 mod exposure;
 mod furnace;
 mod light;
+mod probes;
 mod reader;
 mod render;
 mod study;

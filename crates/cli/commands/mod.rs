@@ -4,6 +4,7 @@ pub mod bake;
 pub mod capture;
 pub mod compare;
 pub mod inspect;
+pub mod probes;
 pub mod render;
 pub mod sample;
 pub mod study;

@@ -70,7 +70,7 @@ pub struct Arguments {
 }
 
 #[derive(clap::Args)]
-struct CameraFlags {
+pub struct CameraFlags {
     /// Where the camera stands, world metres [default: just inside a corner of the level's box]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true)]
     eye: Option<[f64; 3]>,
@@ -228,7 +228,7 @@ fn settings_of(arguments: &Arguments, config: &Config, camera: &Camera) -> Rende
     }
 }
 
-fn camera_of(flags: &CameraFlags, scene: &Scene) -> Result<Camera, Fault> {
+pub fn camera_of(flags: &CameraFlags, scene: &Scene) -> Result<Camera, Fault> {
     if let Some(position) = flags.panorama {
         return Ok(Camera::Panorama { position: position.into() });
     }
@@ -307,7 +307,7 @@ fn write(output: &Path, image: &Image, camera: &Camera, exposure_stops: Option<f
     written.map_err(Fault::from_writing)
 }
 
-fn parse_size(text: &str) -> Result<[usize; 2], String> {
+pub fn parse_size(text: &str) -> Result<[usize; 2], String> {
     let numbers = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     let size = numbers.filter(|[w, h]: &[usize; 2]| *w > 0 && w.checked_mul(*h).is_some_and(|n| n > 0));
     let size = size.ok_or("expected WIDTHxHEIGHT, both above 0, such as 640x360")?;

@@ -36,6 +36,8 @@ enum Verb {
     Sample(commands::sample::Arguments),
     /// Take a picture of a level in the light of its probes, of a volume, or by path tracing
     Render(Box<commands::render::Arguments>),
+    /// Convert a volume for an engine: Bevy, three.js, Godot, Unity, or as OpenEXR or JSON, and tell what that loses
+    Export(commands::export::Arguments),
     /// Error of a volume against another volume or a reference JSON
     Compare(commands::compare::Arguments),
     /// Error against run time, over methods and budgets: a page to read, CSV, JSON and SVG
@@ -50,6 +52,7 @@ fn main() -> ExitCode {
         Verb::Inspect(arguments) => commands::inspect::run(arguments),
         Verb::Sample(arguments) => commands::sample::run(arguments),
         Verb::Render(arguments) => commands::render::run(*arguments),
+        Verb::Export(arguments) => commands::export::run(arguments),
         Verb::Compare(arguments) => commands::compare::run(arguments),
         Verb::Study(arguments) => commands::study::run(*arguments),
     };

@@ -1,0 +1,98 @@
+//! What cannot be exported, and what is odd but can.
+
+use gdibl_export::{Engine, Error, Settings, export};
+use serde_json::Value;
+use std::f64::consts::PI;
+
+use crate::readers::read;
+use crate::volumes::{ENGINES, constant, exported, file, flat_grid, grid, points};
+
+fn refused(volume: &gdibl_runtime::Volume, engine: Engine, name: &str, counts: Option<[u32; 3]>) -> Error {
+    let settings = Settings { name: name.into(), counts };
+    export(volume, engine, &settings).err().unwrap_or_else(|| panic!("{engine:?} took {name} {counts:?}"))
+}
+
+#[test]
+fn points_go_into_json_and_nowhere_else() {
+    let volume = points(&[[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [2.0, 0.5, 3.0]]);
+    for engine in ENGINES {
+        if engine == Engine::Json {
+            continue;
+        }
+        let Error::Unsupported(message) = refused(&volume, engine, "a.b", None) else { panic!("unsupported") };
+        assert!(message.contains("points at 3 places") && message.contains("--to json"), "{message}");
+    }
+    let exported = exported(&volume, Engine::Json);
+    let json: Value = serde_json::from_slice(file(&exported, "room.main")).unwrap();
+    assert_eq!((&json["kind"], &json["counts"]), (&"points".into(), &serde_json::json!([3, 1, 1])));
+    assert_eq!(json["positions"][2], serde_json::json!([1.0, 1.0, 5.0]));
+    let l = json["radiance"][2][0][0].as_f64().unwrap() * f64::from(gdibl_runtime::sh::Y00);
+    assert!((l - 3.0).abs() < 1e-5, "{l}");
+    assert_eq!(exported.report.error.relative_rmse, 0.0);
+    assert!(matches!(refused(&volume, Engine::Json, "a.b", Some([2, 2, 2])), Error::Settings(_)));
+}
+
+#[test]
+fn too_many_nodes_are_refused_with_what_to_do() {
+    let volume = grid([2, 2, 2], 2, |_| constant([1.0; 3]));
+    for (engine, counts) in [
+        (Engine::Bevy, [2, 1025, 2]),
+        (Engine::Bevy, [2, 2, 683]),
+        (Engine::Three, [2, 2, 291]),
+        (Engine::Godot, [41, 41, 41]),
+        (Engine::Unity, [41, 41, 41]),
+    ] {
+        let Error::Unsupported(message) = refused(&volume, engine, "a.b", Some(counts)) else { panic!("unsupported") };
+        assert!(message.contains("give fewer --counts"), "{message}");
+    }
+    for counts in [[0, 2, 2], [4096, 4096, 4096], [u32::MAX; 3]] {
+        assert!(matches!(refused(&volume, Engine::Json, "a.b", Some(counts)), Error::Settings(_)));
+    }
+}
+
+#[test]
+fn light_that_half_floats_cannot_hold_is_refused() {
+    let volume = grid([2, 2, 2], 2, |_| constant([1e5; 3]));
+    let Error::Unsupported(message) = refused(&volume, Engine::Three, "a.b", None) else { panic!("unsupported") };
+    assert!(message.contains("65504") && message.contains("--clamp"), "{message}");
+}
+
+#[test]
+fn files_that_would_share_a_name_are_refused() {
+    let volume = grid([2, 2, 2], 2, |_| constant([1.0; 3]));
+    for (engine, name) in
+        [(Engine::Bevy, "room.json"), (Engine::Three, "gdibl-light-probe-grid.js"), (Engine::Unity, "GdiblImporter.cs")]
+    {
+        let Error::Settings(message) = refused(&volume, engine, name, None) else { panic!("settings") };
+        assert!(message.contains(name), "{message}");
+    }
+}
+
+#[test]
+fn flat_volumes_become_solid_where_the_engine_wants_it() {
+    let volume = flat_grid(constant([1.0, 2.0, 3.0]));
+    for engine in [Engine::Bevy, Engine::Three, Engine::Godot, Engine::Unity] {
+        let export = exported(&volume, engine);
+        let solid = engine != Engine::Bevy;
+        assert_eq!(export.report.counts, if solid { [3, 2, 2] } else { [3, 1, 2] });
+        assert_eq!(export.report.notes.iter().any(|note| note.id == "flat-box"), solid);
+        let lit = read(engine, &export);
+        for height in [-0.4, 0.0, 0.4] {
+            let e = lit([0.3, 0.5 + height, 4.0], [0.0, 0.6, 0.8]);
+            for (e, l) in e.iter().zip([1.0, 2.0, 3.0]) {
+                assert!((e / PI - l).abs() < 3e-3 * l, "{engine:?} {height}: {e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn exports_are_the_same_bytes_every_time() {
+    let volume = grid([3, 2, 2], 2, |p| constant([p[0].abs() as f32, 1.0, 2.0]));
+    for engine in ENGINES {
+        let (a, b) = (exported(&volume, engine), exported(&volume, engine));
+        for (a, b) in a.files.iter().zip(&b.files) {
+            assert!(a.name == b.name && a.bytes == b.bytes, "{engine:?}: {}", a.name);
+        }
+    }
+}

@@ -133,7 +133,9 @@ async function compare( page, name, view, volume ) {
 	const light = irradiance( volume, points );
 	const bright = light.flat().sort( ( a, b ) => a - b )[ Math.floor( 0.99 * 3 * light.length ) ];
 	const seen = { ...view, exposure: 0.95 / ( view.albedo / Math.PI * bright ) };
-	const pixels = await page.evaluate( ( seen ) => window.show( seen ), seen );
+	const bottomUp = Buffer.from( await page.evaluate( ( seen ) => window.show( seen ), seen ), 'base64' );
+	const row = ( y ) => bottomUp.subarray( 4 * width * ( height - 1 - y ), 4 * width * ( height - y ) );
+	const pixels = Buffer.concat( Array.from( { length: height }, ( _, y ) => row( y ) ) );
 	const expected = new Uint8ClampedArray( 4 * width * height ).fill( 255 );
 	const differences = view.spheres.map( () => ( { sum: 0, count: 0 } ) );
 	points.forEach( ( point, i ) => light[ i ].forEach( ( e, c ) => {
@@ -149,10 +151,10 @@ async function compare( page, name, view, volume ) {
 	const url = await page.evaluate( ( { expected, width, height } ) => {
 
 		const canvas = Object.assign( document.createElement( 'canvas' ), { width, height } );
-		canvas.getContext( '2d' ).putImageData( new ImageData( new Uint8ClampedArray( expected ), width, height ), 0, 0 );
+		canvas.getContext( '2d' ).putImageData( new ImageData( Uint8ClampedArray.from( atob( expected ), ( byte ) => byte.charCodeAt( 0 ) ), width, height ), 0, 0 );
 		return canvas.toDataURL();
 
-	}, { expected: [ ...expected ], width, height } );
+	}, { expected: Buffer.from( expected ).toString( 'base64' ), width, height } );
 	writeFileSync( join( out, `${ name }.expected.png` ), Buffer.from( url.split( ',' )[ 1 ], 'base64' ) );
 	const total = differences.reduce( ( all, of ) => ( { sum: all.sum + of.sum, count: all.count + of.count } ) );
 	return { pixels, points, difference: total.sum / total.count, spheres: differences.map( ( of ) => of.sum / of.count ) };

@@ -8,6 +8,7 @@ mod capture;
 mod compare;
 mod config;
 mod dering;
+mod export;
 mod exposure;
 mod furnace;
 mod light;

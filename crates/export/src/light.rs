@@ -6,7 +6,6 @@
 //! ```
 //! Both hold the same nodes at the same places, so that no engine's placement costs anything.
 
-use gdibl_runtime::sh::coefficient_count;
 use gdibl_runtime::{Grid, Kind, RadianceSh, Volume};
 
 use crate::{Error, Note};
@@ -115,13 +114,6 @@ impl Light {
             _ => 0.5 * spacing[axis],
         });
         (std::array::from_fn(|k| min[k] - margin[k]), std::array::from_fn(|k| max[k] + margin[k]))
-    }
-
-    /// The largest absolute coefficient of bands 0 to 2.
-    pub fn largest(&self) -> f32 {
-        let count = coefficient_count(ENGINE_BANDS);
-        let all = self.nodes.iter().flat_map(|sh| sh.coefficients[..count].as_flattened());
-        all.fold(0.0, |largest: f32, value| largest.max(value.abs()))
     }
 }
 

@@ -12,16 +12,20 @@
 //!
 //! Until r186 the first node is on the box's face, from r187 amid its cell; the file tells where nodes are, and the
 //! module asks the class which it wants. Both have the shader read half a spacing along the normal, against light that
-//! leaks through walls: for a lone object this is a loss, and the report says of what size.
+//! leaks through walls. A `.gdibl` tells the light where it is asked, and its fill keeps walls out; so the coefficients
+//! are chosen such that the shader, after its step, gets the light where it started, as far as its bands can.
 //!
 //! Based on: three.js r187, `lightprobes_pars_fragment.glsl.js`, `LightProbeGridWebGL.js`, `LightProbeGridNode.js`.
 
 use half::f16;
+use std::array;
+use std::f64::consts::TAU;
 
-use gdibl_runtime::Volume;
+use gdibl_runtime::sh::{COSINE, MAX_COEFFICIENTS, band_of, basis};
+use gdibl_runtime::{RadianceSh, Volume};
 
-use crate::light::{Least, Light, text};
-use crate::loss::Truth;
+use crate::light::{ENGINE_BANDS, Least, Light, text};
+use crate::loss::{Truth, Variant};
 use crate::texture::Texture;
 use crate::{Error, Export, File, Note, Report, Settings};
 
@@ -35,18 +39,17 @@ const PROMISED_SIDE: usize = 256;
 
 pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Error> {
     let mut light = Light::of_volume(volume, settings.counts, Least::Two)?.truncated();
-    let atlas = Atlas::encode(&light)?;
     let truth = Truth::of_volume(volume);
-    let error = truth.loss(|position, normal| atlas.irradiance(position, normal, 0.5));
-    let unmoved = truth.loss(|position, normal| atlas.irradiance(position, normal, 0.0));
-    light.notes.push(Note::new(
-        "normal-offset",
-        format!(
-            "three.js reads half a spacing along the normal; without that the error would be {:.2} %. More --counts make \
-             the spacing, and this, smaller",
-            100.0 * unmoved.relative_rmse
-        ),
-    ));
+    let candidates =
+        [("offset undone", undo_offset(volume, &light)), ("light of the nodes as it is", light.nodes.clone())];
+    let mut tried = Vec::new();
+    for (name, nodes) in candidates {
+        let atlas = Atlas::encode(&light, &nodes)?;
+        let error = truth.loss(|position, normal| atlas.irradiance(position, normal));
+        tried.push((name, atlas, error));
+    }
+    let best = usize::from(tried[1].2.relative_rmse <= tried[0].2.relative_rmse);
+    let (_, atlas, error) = &tried[best];
     let largest = atlas.texture.size.into_iter().max().unwrap_or(0);
     if largest > PROMISED_SIDE {
         light.notes.push(Note::new(
@@ -56,6 +59,7 @@ pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Err
             ),
         ));
     }
+    let variants = tried.iter().enumerate();
     Ok(Export {
         files: vec![
             File { name: settings.name.clone(), bytes: atlas.file(&light) },
@@ -64,13 +68,60 @@ pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Err
         report: Report {
             counts: light.grid.counts,
             bands_of_volume: volume.header().bands,
-            bands: Some(crate::light::ENGINE_BANDS),
-            error,
-            variants: Vec::new(),
+            bands: Some(ENGINE_BANDS),
+            error: *error,
+            variants: variants
+                .map(|(i, (name, _, error))| Variant { name: (*name).into(), written: i == best, error: *error })
+                .collect(),
             negative: truth.negative("the shader clamps at 0"),
             notes: light.notes,
         },
     })
+}
+
+/// Coefficients from which the shader, going half a spacing s along the normal, gets the light where it started:
+/// `E'(p, n) = E(p - n s / 2, n)` at each node p, projected on the bands the engine has. Exact where E is linear in
+/// place and of bands 0 and 1 in n.
+///
+/// The integral over n is a sum: Gauss and Legendre's six heights, twelve turns, exact up to degree 11.
+fn undo_offset(volume: &Volume, light: &Light) -> Vec<RadianceSh> {
+    const HEIGHTS: [(f64, f64); 3] = [
+        (0.238_619_186_083_196_9, 0.467_913_934_572_691),
+        (0.661_209_386_466_264_5, 0.360_761_573_048_138_6),
+        (0.932_469_514_203_152_1, 0.171_324_492_379_170_3),
+    ];
+    const TURNS: usize = 12;
+    let mut normals = Vec::new();
+    for (height, weight) in HEIGHTS.iter().flat_map(|&(z, w)| [(z, w), (-z, w)]) {
+        for turn in 0..TURNS {
+            let (sine, cosine) = (TAU * (turn as f64 + 0.5) / TURNS as f64).sin_cos();
+            let radius = (1.0 - height * height).sqrt();
+            let normal = [radius * cosine, radius * sine, height].map(|v| v as f32);
+            let mut functions = [0.0; MAX_COEFFICIENTS];
+            basis(ENGINE_BANDS, normal, &mut functions);
+            normals.push((normal, weight * TAU / TURNS as f64, functions));
+        }
+    }
+    let spacing = light.grid.spacing();
+    let at = |node: usize| {
+        let place = light.grid.node_position(node);
+        let mut sums = [[0.0_f64; 3]; 9];
+        for (normal, weight, functions) in &normals {
+            let start = array::from_fn(|k| place[k] - 0.5 * spacing[k] * f64::from(normal[k]));
+            let irradiance = volume.sample_f64(start, *normal).sh.convolve().evaluate(*normal);
+            for (sum, function) in sums.iter_mut().zip(functions) {
+                for (sum, e) in sum.iter_mut().zip(irradiance) {
+                    *sum += weight * f64::from(*function) * f64::from(e);
+                }
+            }
+        }
+        let mut sh = RadianceSh::zero(ENGINE_BANDS);
+        for (i, (coefficient, sum)) in sh.coefficients.iter_mut().zip(sums).enumerate() {
+            *coefficient = sum.map(|e| (e / f64::from(COSINE[band_of(i)])) as f32);
+        }
+        sh
+    };
+    (0..light.nodes.len()).map(at).collect()
 }
 
 /// The atlas, with the box whose cells have nodes in their middle.
@@ -83,7 +134,7 @@ struct Atlas {
 }
 
 impl Atlas {
-    fn encode(light: &Light) -> Result<Atlas, Error> {
+    fn encode(light: &Light, nodes: &[RadianceSh]) -> Result<Atlas, Error> {
         let counts = light.counts();
         let [nx, ny, nz] = counts;
         let size = [nx, ny, BLOCKS * (nz + 2)];
@@ -94,7 +145,8 @@ impl Atlas {
                 size[2]
             )));
         }
-        let largest = light.largest();
+        let values = nodes.iter().flat_map(|sh| sh.coefficients[..9].as_flattened());
+        let largest = values.fold(0.0, |largest: f32, value| largest.max(value.abs()));
         if f16::from_f32(largest).is_infinite() {
             return Err(Error::Unsupported(format!(
                 "holds a coefficient of {largest:e}, and half floats end at {}: bake with --clamp or --sun extract",
@@ -106,7 +158,7 @@ impl Atlas {
             for slice in 0..nz + 2 {
                 let z = slice.saturating_sub(1).min(nz - 1);
                 for node in nx * ny * z..nx * ny * (z + 1) {
-                    let values = light.nodes[node].coefficients[..9].as_flattened();
+                    let values = nodes[node].coefficients[..9].as_flattened();
                     let texel = (4 * block..4 * block + 4).map(|i| values.get(i).copied().unwrap_or(1.0));
                     halves.extend(texel.map(|value| f16::from_f32(value).to_bits()));
                 }
@@ -128,25 +180,24 @@ impl Atlas {
         file
     }
 
-    /// E: `getLightProbeGridIrradiance`, and 0 where `isInsideLightProbeGrid` finds no grid. The shader's `offset` along
-    /// the normal is 0.5 spacings.
-    fn irradiance(&self, position: [f64; 3], normal: [f32; 3], offset: f64) -> [f64; 3] {
+    /// E: `getLightProbeGridIrradiance`, and 0 where `isInsideLightProbeGrid` finds no grid.
+    fn irradiance(&self, position: [f64; 3], normal: [f32; 3]) -> [f64; 3] {
         let res = self.counts.map(|n| n as f64);
-        let range: [f64; 3] = std::array::from_fn(|k| self.max[k] - self.min[k]);
-        let spacing: [f64; 3] = std::array::from_fn(|k| range[k] / res[k]);
-        let place: [f64; 3] = std::array::from_fn(|k| position[k] + f64::from(normal[k]) * spacing[k] * offset);
+        let range: [f64; 3] = array::from_fn(|k| self.max[k] - self.min[k]);
+        let spacing: [f64; 3] = array::from_fn(|k| range[k] / res[k]);
+        let place: [f64; 3] = array::from_fn(|k| position[k] + f64::from(normal[k]) * spacing[k] * 0.5);
         let margin = 0.01;
         if (0..3).any(|k| place[k] < self.min[k] - margin * spacing[k] || place[k] > self.max[k] + margin * spacing[k])
         {
             return [0.0; 3];
         }
         let uvw: [f64; 3] =
-            std::array::from_fn(|k| ((place[k] - self.min[k]) / range[k]).max(0.5 / res[k]).min(1.0 - 0.5 / res[k]));
+            array::from_fn(|k| ((place[k] - self.min[k]) / range[k]).max(0.5 / res[k]).min(1.0 - 0.5 / res[k]));
         let padded = res[2] + 2.0;
         let depth = BLOCKS as f64 * padded;
         let base = uvw[2] * res[2] + 1.0;
         let blocks: [[f64; 4]; BLOCKS] =
-            std::array::from_fn(|t| self.texture.sample([uvw[0], uvw[1], (base + t as f64 * padded) / depth]));
+            array::from_fn(|t| self.texture.sample([uvw[0], uvw[1], (base + t as f64 * padded) / depth]));
         let values = blocks.as_flattened();
         let [x, y, z] = normal.map(f64::from);
         let factors = [
@@ -160,6 +211,6 @@ impl Atlas {
             2.0 * 0.429043 * x * z,
             0.429043 * (x * x - y * y),
         ];
-        std::array::from_fn(|c| (0..9).map(|i| values[3 * i + c] * factors[i]).sum::<f64>().max(0.0))
+        array::from_fn(|c| (0..9).map(|i| values[3 * i + c] * factors[i]).sum::<f64>().max(0.0))
     }
 }

@@ -1,4 +1,4 @@
-// Shows exports of gdibl in three.js (WebGLRenderer, headless Chromium, software GL) and compares every pixel of three
+// Shows exports of gdibl in three.js (headless Chromium, software GL, both renderers) and compares every pixel of three
 // spheres with `gdibl sample` at the same points: albedo / π · E, exposed, in sRGB. Bound: 3 % of white on average.
 //
 //   cargo build --release          (in the repository)
@@ -180,32 +180,37 @@ const verdict = ( good, text ) => { console.log( `${ good ? 'ok    ' : 'FAILED' 
 const percent = ( v ) => `${ ( 100 * v ).toFixed( 2 ) } %`;
 try {
 
-	const page = await browser.newPage( { viewport: { width, height } } );
-	page.on( 'console', ( message ) => { if ( message.type() === 'error' ) console.error( message.text() ); } );
-	page.on( 'pageerror', ( error ) => console.error( error ) );
-	await page.goto( `http://127.0.0.1:${ server.address().port }/index.html` );
-	await page.waitForFunction( () => window.ready, null, { timeout: 60_000 } );
+	for ( const renderer of [ 'WebGLRenderer', 'WebGPURenderer' ] ) {
 
-	const box = { grid: '/out/box.bin', level: '/out/box.glb', spheres: [ [ 0, 1, 2 ], [ 0, 1, 0 ], [ 0, 1, - 2 ] ], radius: 0.5, albedo: 0.8, eye: [ 0.85, 1.8, 3.6 ], target: [ - 0.1, 0.8, 0 ], fov: 50 };
-	const shown = await compare( page, 'box', box, 'box.gdibl' );
-	verdict( shown.difference <= BOUND, `box: ${ percent( shown.difference ) } of white mean absolute difference over ${ shown.points.length } pixels (spheres: ${ shown.spheres.map( percent ).join( ', ' ) })` );
+		const page = await browser.newPage( { viewport: { width, height } } );
+		page.on( 'console', ( message ) => { if ( message.type() === 'error' ) console.error( message.text() ); } );
+		page.on( 'pageerror', ( error ) => console.error( error ) );
+		await page.goto( `http://127.0.0.1:${ server.address().port }/index.html?${ renderer }` );
+		await page.waitForFunction( () => window.ready, null, { timeout: 60_000 } );
 
-	for ( const side of Object.keys( SIDES ) ) {
+		const box = { grid: '/out/box.bin', level: '/out/box.glb', spheres: [ [ 0, 1, 2 ], [ 0, 1, 0 ], [ 0, 1, - 2 ] ], radius: 0.5, albedo: 0.8, eye: [ 0.85, 1.8, 3.6 ], target: [ - 0.1, 0.8, 0 ], fov: 50 };
+		const shown = await compare( page, `${ renderer }.box`, box, 'box.gdibl' );
+		verdict( shown.difference <= BOUND, `${ renderer }, box: ${ percent( shown.difference ) } of white mean absolute difference over ${ shown.points.length } pixels (spheres: ${ shown.spheres.map( percent ).join( ', ' ) })` );
 
-		// From two opposite corners: each shows three sides whole.
-		const found = {};
-		let worst = 0;
-		for ( const [ corner, eye ] of Object.entries( { a: [ 4, 3.2, 3.6 ], b: [ - 4, - 3.2, - 3.6 ] } ) ) {
+		for ( const side of Object.keys( SIDES ) ) {
 
-			const view = { grid: `/out/side${ encodeURIComponent( side ) }.bin`, spheres: [ [ - 1.3, 0, 0 ], [ 0, 0, 0 ], [ 1.3, 0, 0 ] ], radius: 0.6, albedo: 0.8, eye, target: [ 0, 0, 0 ], fov: 36 };
-			const lit = await compare( page, `side${ side }.${ corner }`, view, `side${ side }.gdibl` );
-			worst = Math.max( worst, lit.difference );
-			for ( const [ there, direction ] of Object.entries( SIDES ) ) if ( dot( direction, eye ) > 0 ) found[ there ] = brightness( lit, direction );
+			// From two opposite corners: each shows three sides whole.
+			const found = {};
+			let worst = 0;
+			for ( const [ corner, eye ] of Object.entries( { a: [ 4, 3.2, 3.6 ], b: [ - 4, - 3.2, - 3.6 ] } ) ) {
+
+				const view = { grid: `/out/side${ encodeURIComponent( side ) }.bin`, spheres: [ [ - 1.3, 0, 0 ], [ 0, 0, 0 ], [ 1.3, 0, 0 ] ], radius: 0.6, albedo: 0.8, eye, target: [ 0, 0, 0 ], fov: 36 };
+				const lit = await compare( page, `${ renderer }.side${ side }.${ corner }`, view, `side${ side }.gdibl` );
+				worst = Math.max( worst, lit.difference );
+				for ( const [ there, direction ] of Object.entries( SIDES ) ) if ( dot( direction, eye ) > 0 ) found[ there ] = brightness( lit, direction );
+
+			}
+
+			const others = Math.max( ...Object.keys( SIDES ).filter( ( there ) => there !== side ).map( ( there ) => found[ there ] ) );
+			verdict( found[ side ] > 0.8 && others < 0.5 && worst <= BOUND, `${ renderer }, light from ${ side }: that side ${ percent( found[ side ] ) } of white, the brightest other ${ percent( others ) }; difference ${ percent( worst ) }` );
 
 		}
-
-		const others = Math.max( ...Object.keys( SIDES ).filter( ( there ) => there !== side ).map( ( there ) => found[ there ] ) );
-		verdict( found[ side ] > 0.8 && others < 0.5 && worst <= BOUND, `light from ${ side }: that side ${ percent( found[ side ] ) } of white, the brightest other ${ percent( others ) }; difference ${ percent( worst ) }` );
+		await page.close();
 
 	}
 

@@ -98,7 +98,7 @@ function lamp( direction, path ) {
 function prepare() {
 
 	mkdirSync( out, { recursive: true } );
-	if ( ! existsSync( join( out, 'box.gdibl' ) ) ) run( 'bake', join( repository, 'assets/uffizi-box/uffizi-box.bake.toml' ), '-o', 'box.gdibl', '--quiet' );
+	run( 'bake', join( repository, 'assets/uffizi-box/uffizi-box.bake.toml' ), '-o', 'box.gdibl', '--quiet' );
 	run( 'export', 'box.gdibl', '--to', 'three', '-o', 'box.bin' );
 	writeFileSync( join( out, 'box.glb' ), readFileSync( join( repository, 'assets/uffizi-box/uffizi-box.glb' ) ) );
 	writeFileSync( join( out, 'nothing.gltf' ), JSON.stringify( { asset: { version: '2.0' }, scene: 0, scenes: [ {} ] } ) );

@@ -20,7 +20,8 @@ pub struct Arguments {
     /// The file to write; files that come with it go beside it
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Grid nodes per axis: X,Y,Z, sampled from the volume [default: the volume's own nodes, which lose least]
+    /// Grid nodes per axis: X,Y,Z, sampled from the volume; more of them lessen what three, godot and unity lose
+    /// [default: the volume's own nodes]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_counts)]
     counts: Option<[u32; 3]>,
     /// Print JSON

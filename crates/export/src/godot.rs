@@ -28,7 +28,7 @@ pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Err
     let mut light = Light::of_volume(volume, settings.counts, Least::Two)?.truncated();
     if light.nodes.len() > MAX_PROBES {
         return Err(Error::Unsupported(format!(
-            "{} are {} nodes; a .tres holds up to {MAX_PROBES} (some 70 MB of text): give fewer --counts",
+            "{} are {} nodes; a .tres holds up to {MAX_PROBES} (some 60 MB of text): give fewer --counts",
             text(light.grid.counts),
             light.nodes.len()
         )));

@@ -13,11 +13,11 @@
 //! ```
 //! | module | engine | light | between nodes | below zero | outside the box |
 //! |---|---|---|---|---|---|
-//! | `bevy` | Bevy 0.13 and later | ambient cube, E/π | trilinear, cell centres | cannot be stored: fitted without | nothing |
-//! | `three` | three.js r184 and later | radiance SH to L2 | trilinear, half a cell along the normal | clamped at 0 | nothing from r187, before that the nearest |
-//! | `godot` | Godot 4 | radiance SH to L2, over π | in tetrahedra, one sample per object | subtracts | weights clamped one by one: too bright |
-//! | `unity` | Unity, light probes | E/π as a polynomial, L2 | in tetrahedra, one sample per object | clamped at 0 | the nearest on the hull |
-//! | `exr`, `json` | everyone else | radiance SH, all bands | the reader's business | as stored | the reader's business |
+//! | [`bevy`] | Bevy 0.13 and later | ambient cube, E/π | trilinear, cell centres | cannot be stored: fitted without | nothing |
+//! | [`three`] | three.js r184 and later | radiance SH to L2 | trilinear, half a cell along the normal (undone) | clamped at 0 | nothing from r187, before that the nearest |
+//! | [`godot`] | Godot 4 | radiance SH to L2, over π | in tetrahedra, one sample per object | subtracts | weights clamped one by one: too bright |
+//! | [`unity`] | Unity, light probes | E/π as a polynomial, L2 | in tetrahedra, one sample per object | clamped at 0 | the nearest on the hull |
+//! | [`mod@exr`], [`json`] | everyone else | radiance SH, all bands | the reader's business | as stored | the reader's business |
 //!
 //! # Conventions
 //! World space is glTF's (right-handed, Y up, metres), colour linear Rec.709, coefficients the runtime's. What an engine
@@ -27,23 +27,23 @@
 //! # The error
 //! Every export is decoded again from the bytes written, as that engine's shader does (formula, filter and clamp
 //! transcribed, the source named), at 4096 positions in the box with a normal each, and compared with
-//! `max(E, 0)` of the volume.
+//! `max(E, 0)` of the volume. Where there are two ways to write, both are measured, and the better one is written.
 #![forbid(unsafe_code)]
 
-mod bevy;
+pub mod bevy;
 mod cube;
 mod error;
-mod exr;
-mod godot;
-mod json;
+pub mod exr;
+pub mod godot;
+pub mod json;
 mod ktx2;
 mod light;
 mod loss;
 mod rgb9e5;
 mod tetrahedra;
 mod texture;
-mod three;
-mod unity;
+pub mod three;
+pub mod unity;
 
 pub use error::Error;
 pub use loss::{Loss, Negative, SAMPLES, Variant, sample_normal, sample_position};
@@ -73,7 +73,8 @@ pub enum Engine {
 pub struct Settings {
     /// Name of the main file, without a folder: "room.ktx2". Files that come with it are named after it.
     pub name: String,
-    /// Nodes per axis, the first on the box's min and the last on its max; None: those of the volume, which loses least.
+    /// Nodes per axis, the first on the box's min and the last on its max; None: those of the volume. More of them
+    /// lessen what three.js, Godot and Unity lose, which cut or move what the volume interpolates.
     pub counts: Option<[u32; 3]>,
 }
 

@@ -88,7 +88,7 @@ fn undo_offset(volume: &Volume, light: &Light) -> Vec<RadianceSh> {
     const HEIGHTS: [(f64, f64); 3] = [
         (0.238_619_186_083_196_9, 0.467_913_934_572_691),
         (0.661_209_386_466_264_5, 0.360_761_573_048_138_6),
-        (0.932_469_514_203_152_1, 0.171_324_492_379_170_3),
+        (0.932_469_514_203_152, 0.171_324_492_379_170_3),
     ];
     const TURNS: usize = 12;
     let mut normals = Vec::new();
@@ -157,8 +157,8 @@ impl Atlas {
         for block in 0..BLOCKS {
             for slice in 0..nz + 2 {
                 let z = slice.saturating_sub(1).min(nz - 1);
-                for node in nx * ny * z..nx * ny * (z + 1) {
-                    let values = nodes[node].coefficients[..9].as_flattened();
+                for node in &nodes[nx * ny * z..nx * ny * (z + 1)] {
+                    let values = node.coefficients[..9].as_flattened();
                     let texel = (4 * block..4 * block + 4).map(|i| values.get(i).copied().unwrap_or(1.0));
                     halves.extend(texel.map(|value| f16::from_f32(value).to_bits()));
                 }

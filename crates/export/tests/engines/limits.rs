@@ -57,6 +57,35 @@ fn light_that_half_floats_cannot_hold_is_refused() {
     assert!(message.contains("65504") && message.contains("--clamp"), "{message}");
 }
 
+/// Of 9 bits and a shared exponent, and of half floats, as Khronos' data format specification describes them.
+#[test]
+fn textures_describe_their_texels() {
+    let volume = grid([3, 2, 4], 2, |_| constant([1.0; 3]));
+    let export = exported(&volume, Engine::Bevy);
+    for (name, bytes, samples) in [
+        ("room.main", 4, &[(0, 9, 0, 0), (27, 5, 0, 2), (9, 9, 1, 0), (27, 5, 1, 2), (18, 9, 2, 0), (27, 5, 2, 2)][..]),
+        ("room.rgba16f.ktx2", 8, &[(0, 16, 0, 12), (16, 16, 1, 12), (32, 16, 2, 12), (48, 16, 15, 12)]),
+    ] {
+        let reader = ktx2::Reader::new(file(&export, name)).unwrap();
+        let header = reader.header();
+        assert_eq!([header.pixel_width, header.pixel_height, header.pixel_depth], [3, 4, 12]);
+        assert_eq!(header.type_size, if bytes == 4 { 4 } else { 2 });
+        let [block] = &reader.dfd_blocks().collect::<Vec<_>>()[..] else { panic!("one block") };
+        assert_eq!((block.header.vendor_id, block.header.descriptor_type), (0, 0));
+        let basic = ktx2::DfdBlockBasic::parse(block.data).unwrap();
+        assert_eq!(basic.header.bytes_planes, [bytes, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(basic.header.color_primaries, Some(ktx2::ColorPrimaries::BT709));
+        assert_eq!(basic.header.transfer_function, Some(ktx2::TransferFunction::Linear));
+        let found: Vec<_> = basic
+            .sample_information()
+            .map(|s| (s.bit_offset, s.bit_length.get(), s.channel_type, s.channel_type_qualifiers.bits()))
+            .collect();
+        assert_eq!(found, samples);
+        let pairs: Vec<_> = reader.key_value_data().collect();
+        assert!(pairs.iter().any(|(key, value)| *key == "KTXwriter" && value.starts_with(b"gdibl ")), "{pairs:?}");
+    }
+}
+
 #[test]
 fn files_that_would_share_a_name_are_refused() {
     let volume = grid([2, 2, 2], 2, |_| constant([1.0; 3]));

@@ -112,7 +112,8 @@ fn print(report: &Report, volume: &Path) -> Result<(), Fault> {
     let [x, y, z] = export.counts;
     row("nodes", format!("{x} x {y} x {z}"));
     let bands = export.bands.map_or("ambient cubes".into(), |bands| format!("L{bands}"));
-    row("light", format!("{bands}, from L{} of {}", export.bands_of_volume, volume.display()));
+    let how = if report.deringed { ", de-ringed" } else { "" };
+    row("light", format!("{bands}, from L{} of {}{how}", export.bands_of_volume, volume.display()));
     row("error", loss_text(&export.error));
     for variant in &export.variants {
         let written = if variant.written { " (written)" } else { "" };

@@ -39,6 +39,7 @@ const PROMISED_SIDE: usize = 256;
 
 pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Error> {
     let mut light = Light::of_volume(volume, settings.counts, Least::Two)?.truncated();
+    check_size(&light)?;
     let truth = Truth::of_volume(volume);
     let candidates =
         [("offset undone", undo_offset(volume, &light)), ("light of the nodes as it is", light.nodes.clone())];
@@ -77,6 +78,18 @@ pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Err
             notes: light.notes,
         },
     })
+}
+
+fn check_size(light: &Light) -> Result<(), Error> {
+    let [nx, ny, nz] = light.counts();
+    let depth = BLOCKS * (nz + 2);
+    if nx.max(ny).max(depth) <= MAX_SIDE {
+        return Ok(());
+    }
+    Err(Error::Unsupported(format!(
+        "{} nodes make an atlas of {nx} x {ny} x {depth}, over the {MAX_SIDE} of a 3-D texture: give fewer --counts",
+        text(light.grid.counts)
+    )))
 }
 
 /// Coefficients from which the shader, going half a spacing s along the normal, gets the light where it started:
@@ -138,13 +151,6 @@ impl Atlas {
         let counts = light.counts();
         let [nx, ny, nz] = counts;
         let size = [nx, ny, BLOCKS * (nz + 2)];
-        if size.iter().any(|&side| side > MAX_SIDE) {
-            return Err(Error::Unsupported(format!(
-                "{} nodes make an atlas of {nx} x {ny} x {}, over the {MAX_SIDE} of a 3-D texture: give fewer --counts",
-                text(light.grid.counts),
-                size[2]
-            )));
-        }
         let values = nodes.iter().flat_map(|sh| sh.coefficients[..9].as_flattened());
         let largest = values.fold(0.0, |largest: f32, value| largest.max(value.abs()));
         if f16::from_f32(largest).is_infinite() {

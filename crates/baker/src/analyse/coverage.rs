@@ -20,7 +20,7 @@ use crate::capture::free_space::{FreeSpace, Looker, Sight};
 use crate::radiance::path::Path;
 use crate::radiance::{Guide, PathContext, Radiance, RadianceFunction, Seen};
 use crate::sampling::{Sampler, Stream, streams};
-use crate::trace::{Frame, Hit};
+use crate::trace::{Frame, Hit, Level};
 
 /// A probe, as far as coverage asks.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -148,6 +148,10 @@ impl<'a> CoveragePaint<'a> {
 impl RadianceFunction for CoveragePaint<'_> {
     fn frame(&self) -> &Frame {
         self.view.path.frame()
+    }
+
+    fn level(&self) -> Level<'_> {
+        self.view.path.level()
     }
 
     fn guide(&self) -> &Guide {

@@ -31,7 +31,6 @@ use serde::Serialize;
 
 use super::gdibl::{PlacedProbe, Probe};
 use super::regions::Surroundings;
-use super::shown_surface;
 use crate::Finding;
 use crate::panorama::PLANE_TOLERANCE;
 use crate::scene::{Role, Scene};
@@ -234,7 +233,7 @@ fn distances_off(around: &Surroundings, probe: usize) -> Option<f64> {
         let (x, y) = panorama.pixel_at(placed.to_local * **direction);
         let toward = placed.to_local.transpose() * panorama.pixel_direction(x, y);
         let told = panorama.pixel_distance(x, y).unwrap_or(f32::INFINITY);
-        match shown_surface(around.scene, around.environment, placed.position, toward) {
+        match around.environment.shown(around.scene, placed.position, toward, f32::INFINITY) {
             None => told.is_finite(),
             Some(hit) => {
                 let agrees = (told / around.frame.metres(hit.t) - 1.0).abs() <= PLANE_TOLERANCE;

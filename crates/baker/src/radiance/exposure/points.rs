@@ -16,7 +16,6 @@ use std::f32::consts::PI;
 
 use super::super::gdibl::PlacedProbe;
 use super::super::regions::Surroundings;
-use super::super::shown_surface;
 use super::robust::{median, spread_about};
 use crate::panorama::Panorama;
 use crate::sampling::fibonacci_sphere;
@@ -89,7 +88,7 @@ fn median_pixel(panorama: &Panorama) -> Vec3 {
 /// The surface that probe `from` meets, beside every other probe that shows it as well.
 fn points_along(around: &Surroundings, black: &[Vec3], from: usize, direction: Vec3) -> Vec<SharedPoint> {
     let Surroundings { scene, environment, placed, .. } = *around;
-    let Some(hit) = shown_surface(scene, environment, placed[from].position, direction) else { return Vec::new() };
+    let Some(hit) = environment.shown(scene, placed[from].position, direction, f32::INFINITY) else { return Vec::new() };
     let Some(own) = pixel_edge(&hit, &placed[from]) else { return Vec::new() };
     if hit.opacity < 1.0 || environment.material(scene, hit.triangle).is_mirror() {
         return Vec::new();

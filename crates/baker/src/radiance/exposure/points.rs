@@ -88,7 +88,9 @@ fn median_pixel(panorama: &Panorama) -> Vec3 {
 /// The surface that probe `from` meets, beside every other probe that shows it as well.
 fn points_along(around: &Surroundings, black: &[Vec3], from: usize, direction: Vec3) -> Vec<SharedPoint> {
     let Surroundings { scene, environment, placed, .. } = *around;
-    let Some(hit) = environment.shown(scene, placed[from].position, direction, f32::INFINITY) else { return Vec::new() };
+    let Some(hit) = environment.shown(scene, placed[from].position, direction, f32::INFINITY) else {
+        return Vec::new();
+    };
     let Some(own) = pixel_edge(&hit, &placed[from]) else { return Vec::new() };
     if hit.opacity < 1.0 || environment.material(scene, hit.triangle).is_mirror() {
         return Vec::new();

@@ -38,6 +38,7 @@
 //! | [`volume`] | a parsed file: coefficients per node, validity, positions |
 //! | [`sample`] | light at a position: trilinear in a grid, nearest in points and vertices |
 //! | [`walls`] | what keeps light on its side of walls between the nodes of a grid |
+//! | [`nearest`] | the nearest of many positions |
 //! | [`format`](mod@format) | the bytes of a file, shared with the writer; `FORMAT.md` says the same in prose |
 //! | [`half`] | 16-bit floats to 32-bit |
 //!
@@ -58,7 +59,7 @@ pub mod format;
 pub mod grid;
 pub mod half;
 mod math;
-mod nearest;
+pub mod nearest;
 pub mod sample;
 pub mod sh;
 mod shuffle;

@@ -22,7 +22,7 @@ const LEAF: usize = 16;
 
 /// The tree over some positions, which it does not own.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct NearestIndex {
+pub struct NearestIndex {
     order: Vec<u32>,
     boxes: Vec<Bounds>,
 }
@@ -35,8 +35,10 @@ struct Bounds {
 
 /// A node found, and the square of its distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Found {
+pub struct Found {
+    /// Which one.
     pub index: usize,
+    /// In squared units of the positions.
     pub squared_distance: f64,
 }
 

@@ -4,6 +4,7 @@
 //! Parallel over nodes; every result has its own place, so bytes do not depend on the number of threads.
 
 mod directions;
+mod fill;
 mod gather;
 mod integrate;
 mod nodes;
@@ -168,9 +169,9 @@ pub fn bake(
 ) -> Result<Baked, Interrupted> {
     assert!(settings.bands <= sh::MAX_BANDS, "bands {} of at most {}", settings.bands, sh::MAX_BANDS);
     assert!((1..=BakeSettings::MAX_SAMPLES).contains(&settings.samples), "samples {}", settings.samples);
-    let mut sites = Sites::find(nodes, function);
+    let mut sites = Sites::find(nodes, function, control)?;
     let open = sites.open(nodes.neighbourhoods().into_iter());
-    (control.progress)((nodes.len() - open.len()) as u64, 0);
+    (control.progress)((nodes.len() - open.len()) as u64, sites.rays);
     let job = Job { nodes, sites: &sites, function, settings, control };
     let median = match settings.target_error {
         Some(_) if settings.samples > PILOT_SAMPLES => Some(job.pilot(&open)?),
@@ -201,7 +202,7 @@ pub fn bake(
             *standing = Standing::Uncovered;
         }
     }
-    Ok(finish(nodes, function, settings, sites, sampled, median))
+    finish(nodes, function, settings, control, sites, sampled, median)
 }
 
 /// Figures and what lies between nodes, once all are sampled.
@@ -209,10 +210,11 @@ fn finish(
     nodes: &Nodes,
     function: &impl RadianceFunction,
     settings: &BakeSettings,
+    control: &Control,
     sites: Sites,
     sampled: Sampled,
     median: f64,
-) -> Baked {
+) -> Result<Baked, Interrupted> {
     let Sampled { sh, mut coefficient_error, estimates, rays, samples } = sampled;
     let is_open: Vec<bool> = sites.standing.iter().map(|standing| *standing == Standing::Open).collect();
     let valid = || estimates.iter().zip(&is_open).map(|(e, open)| (e, *open));
@@ -240,15 +242,20 @@ fn finish(
         standing: sites.standing.clone(),
         moved,
         walls: None,
-        rays,
+        rays: rays + sites.rays,
         samples,
         clamped: if clamped > 0.0 { clamped / (clamped + kept) } else { 0.0 },
     };
-    fill_invalid(nodes, &mut baked);
+    let place = |node| sites.place(node, nodes, function);
+    let mut rays = fill::fill(nodes, &mut baked, function, place, control)?;
     if let Nodes::Grid(grid) = nodes {
-        baked.walls = walls::find(grid, &baked, function, |node| sites.place(node, nodes, function));
+        let (walls, more) = walls::find(grid, &baked, function, place, control)?;
+        baked.walls = walls;
+        rays += more;
     }
-    baked
+    (control.progress)(0, rays);
+    baked.rays += rays;
+    Ok(baked)
 }
 
 /// What is kept of a node besides its coefficients.
@@ -424,60 +431,4 @@ fn punctual_light(function: &impl RadianceFunction, origin: Vec3, rays: &mut u64
     });
     *rays += context.rays;
     moments
-}
-
-/// Invalid nodes take the light of valid ones: on a grid layer by layer from their neighbours' mean, elsewhere
-/// from the nearest. If none is valid they stay black, and the caller has to say so.
-fn fill_invalid(nodes: &Nodes, baked: &mut Baked) {
-    let mut known: Vec<bool> = (0..nodes.len()).map(|node| baked.is_valid(node)).collect();
-    if known.iter().all(|v| *v) || !known.iter().any(|v| *v) {
-        return;
-    }
-    let stride = 3 * sh::coefficient_count(baked.bands);
-    if let Nodes::Grid(grid) = nodes {
-        let [nx, ny, nz] = grid.counts.map(|c| c as usize);
-        let neighbours = |index: usize| {
-            let (x, y, z) = (index % nx, index / nx % ny, index / nx / ny);
-            let mut list = [None; 6];
-            list[0] = (x > 0).then(|| index - 1);
-            list[1] = (x + 1 < nx).then_some(index + 1);
-            list[2] = (y > 0).then(|| index - nx);
-            list[3] = (y + 1 < ny).then_some(index + nx);
-            list[4] = (z > 0).then(|| index - nx * ny);
-            list[5] = (z + 1 < nz).then_some(index + nx * ny);
-            list.into_iter().flatten()
-        };
-        // Each layer reads the one before alone, so order does not matter.
-        let mut front: Vec<usize> = (0..nodes.len()).filter(|&i| !known[i]).collect();
-        while !front.is_empty() {
-            let (layer, rest): (Vec<usize>, Vec<usize>) = front.iter().partition(|&&i| neighbours(i).any(|n| known[n]));
-            let filled: Vec<Vec<f32>> = layer
-                .iter()
-                .map(|&index| {
-                    let mut mean = vec![0.0f32; stride];
-                    let mut count = 0.0;
-                    for n in neighbours(index).filter(|&n| known[n]) {
-                        mean.iter_mut().zip(baked.node(n)).for_each(|(m, v)| *m += v);
-                        count += 1.0;
-                    }
-                    mean.iter_mut().for_each(|m| *m /= count);
-                    mean
-                })
-                .collect();
-            for (&index, values) in layer.iter().zip(filled) {
-                baked.sh[index * stride..(index + 1) * stride].copy_from_slice(&values);
-                known[index] = true;
-            }
-            front = rest;
-        }
-    } else {
-        let valid: Vec<usize> = (0..nodes.len()).filter(|&i| known[i]).collect();
-        for index in (0..nodes.len()).filter(|&i| !known[i]) {
-            let here = nodes.position(index);
-            let distance = |i: &usize| nodes.position(*i).distance_squared(here);
-            let nearest = valid.iter().copied().min_by(|a, b| distance(a).total_cmp(&distance(b)));
-            let nearest = nearest.expect("some node is valid");
-            baked.sh.copy_within(nearest * stride..(nearest + 1) * stride, index * stride);
-        }
-    }
 }

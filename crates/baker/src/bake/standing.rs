@@ -13,6 +13,7 @@ use super::Nodes;
 use crate::radiance::{RadianceFunction, SOLID_BACKS};
 use crate::sampling::fibonacci_sphere;
 use crate::trace::{Level, Met};
+use crate::{Control, Interrupted};
 
 /// What a node stands in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -52,6 +53,8 @@ pub(super) struct Sites {
     moved: Vec<(u32, Vec3)>,
     /// Open nodes that see many backs of double-sided triangles, in order.
     pub suspects: Vec<u32>,
+    /// Rays traced to find out.
+    pub rays: u64,
 }
 
 /// Where a node stands after a look around.
@@ -59,6 +62,7 @@ struct Site {
     place: Vec3,
     standing: Standing,
     is_suspect: bool,
+    rays: u64,
 }
 
 /// What is seen all around.
@@ -72,16 +76,21 @@ struct Look {
 
 impl Sites {
     /// Looks around at every node.
-    pub fn find(nodes: &Nodes, function: &impl RadianceFunction) -> Sites {
-        let level = function.level();
-        if level.is_empty() {
-            return Sites { standing: vec![Standing::Open; nodes.len()], moved: Vec::new(), suspects: Vec::new() };
+    pub fn find(nodes: &Nodes, function: &impl RadianceFunction, control: &Control) -> Result<Sites, Interrupted> {
+        let mut sites = Sites { standing: Vec::new(), moved: Vec::new(), suspects: Vec::new(), rays: 0 };
+        if function.level().is_empty() {
+            sites.standing = vec![Standing::Open; nodes.len()];
+            return Ok(sites);
         }
-        let around = Around::new(level, nodes, function.frame().scale);
         let origin = |index: usize| nodes.ray_origin(index, function.frame());
-        let found: Vec<Site> = (0..nodes.len()).into_par_iter().map(|index| around.settle(origin(index))).collect();
-        let mut sites = Sites { standing: Vec::new(), moved: Vec::new(), suspects: Vec::new() };
-        for (index, site) in found.iter().enumerate() {
+        let settle = |around: &mut Around, index| match control.cancelled() {
+            true => Err(Interrupted),
+            false => Ok(around.settle(origin(index))),
+        };
+        let start = || Around::new(nodes, function);
+        let found: Result<Vec<Site>, Interrupted> = (0..nodes.len()).into_par_iter().map_init(start, settle).collect();
+        for (index, site) in found?.iter().enumerate() {
+            sites.rays += site.rays;
             sites.standing.push(site.standing);
             if site.place != origin(index) {
                 sites.moved.push((index as u32, site.place));
@@ -90,7 +99,7 @@ impl Sites {
                 sites.suspects.push(index as u32);
             }
         }
-        sites
+        Ok(sites)
     }
 
     /// Nodes that are worth baking, of these.
@@ -108,15 +117,17 @@ impl Sites {
 
     /// Suspects that turned out dark are in solids; those of them that find a way out are returned, to be baked there.
     pub fn step_out(&mut self, dark: &[u32], nodes: &Nodes, function: &impl RadianceFunction) -> Vec<u32> {
-        let around = Around::new(function.level(), nodes, function.frame().scale);
-        let way_out = |&node: &u32| {
+        let way_out = |around: &mut Around, &node: &u32| {
             let place = self.place(node, nodes, function);
             let look = around.look(place, CLOSE_LOOKS);
-            around.way_out(place, &look, |met| met.back, |look| look.backs <= SOLID_BACKS)
+            let way = around.way_out(place, &look, |met| met.back, |look| look.backs <= SOLID_BACKS);
+            (way, around.level.take_rays())
         };
-        let found: Vec<Option<Vec3>> = dark.par_iter().map(way_out).collect();
+        let found: Vec<(Option<Vec3>, u64)> =
+            dark.par_iter().map_init(|| Around::new(nodes, function), way_out).collect();
         let mut out = Vec::new();
-        for (&node, place) in dark.iter().zip(found) {
+        for (&node, (place, rays)) in dark.iter().zip(found) {
+            self.rays += rays;
             self.standing[node as usize] = Standing::Solid;
             if let Some(place) = place {
                 match self.moved.binary_search_by_key(&node, |moved| moved.0) {
@@ -151,15 +162,15 @@ struct Around<'a> {
 }
 
 impl<'a> Around<'a> {
-    fn new(level: Level<'a>, nodes: &Nodes, scale: f64) -> Around<'a> {
+    fn new(nodes: &Nodes, function: &'a impl RadianceFunction) -> Around<'a> {
         let spacing = match nodes {
-            Nodes::Grid(grid) => DVec3::from(grid.spacing()) * scale,
+            Nodes::Grid(grid) => DVec3::from(grid.spacing()) * function.frame().scale,
             Nodes::Points(_) | Nodes::Vertices { .. } => DVec3::ZERO,
         };
         let least = spacing.to_array().into_iter().filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min);
         let least = if least.is_finite() { least as f32 } else { 0.0 };
         Around {
-            level,
+            level: function.level(),
             few: fibonacci_sphere(LOOKS),
             many: fibonacci_sphere(CLOSE_LOOKS),
             reach: (spacing / 2.0).as_vec3(),
@@ -174,14 +185,15 @@ impl<'a> Around<'a> {
         let place = if self.leaves_surfaces { self.off_surfaces(place) } else { place };
         let look = self.look(place, LOOKS);
         let look = if DOUBT.contains(&look.backs) { self.look(place, CLOSE_LOOKS) } else { look };
+        let site = |place, standing, is_suspect| Site { place, standing, is_suspect, rays: self.level.take_rays() };
         if look.solid <= SOLID_BACKS {
-            return Site { place, standing: Standing::Open, is_suspect: look.backs > SOLID_BACKS };
+            return site(place, Standing::Open, look.backs > SOLID_BACKS);
         }
         let free = |look: &Look| look.solid <= SOLID_BACKS;
         match self.way_out(place, &look, |met| met.back && met.single_sided, free) {
-            Some(place) => Site { place, standing: Standing::Open, is_suspect: false },
-            None if look.escapes > 0.0 => Site { place, standing: Standing::Outside, is_suspect: false },
-            None => Site { place, standing: Standing::Solid, is_suspect: false },
+            Some(place) => site(place, Standing::Open, false),
+            None if look.escapes > 0.0 => site(place, Standing::Outside, false),
+            None => site(place, Standing::Solid, false),
         }
     }
 

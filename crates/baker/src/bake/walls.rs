@@ -11,10 +11,12 @@ use gdibl_runtime::sh;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::Baked;
 use crate::radiance::RadianceFunction;
 use crate::trace::{Frame, Level};
+use crate::{Control, Interrupted};
 
 /// Most planes that cut a cell.
 pub const MOST_PLANES: usize = gdibl_runtime::walls::MOST_PLANES;
@@ -50,38 +52,50 @@ const LEAST_WEIGHT: f32 = 0.05;
 /// Irradiance under this share of the volume's median is black.
 const BLACK: f64 = 1e-3;
 
-/// Looks at every cell of a grid whose nodes' light is taken at `place` (trace space).
+/// Looks at every cell of a grid whose nodes' light is taken at `place` (trace space). Walls, and the rays it took.
 pub(super) fn find(
     grid: &Grid,
     baked: &Baked,
     function: &impl RadianceFunction,
     place: impl Fn(u32) -> Vec3 + Sync,
-) -> Option<Walls> {
-    let level = function.level();
-    if level.is_empty() || grid.node_count() < 2 {
-        return None;
+    control: &Control,
+) -> Result<(Option<Walls>, u64), Interrupted> {
+    if function.level().is_empty() || grid.node_count() < 2 {
+        return Ok((None, 0));
     }
     let frame = function.frame();
     let spacing = grid.spacing().into_iter().filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min) * frame.scale;
-    let search = Search {
-        grid,
-        frame,
-        level,
-        baked,
-        place: &place,
-        off: (spacing as f32 * OFF_SURFACES).max(LEAST_OFF),
-        black: BLACK * median_irradiance(baked),
+    let off = (spacing as f32 * OFF_SURFACES).max(LEAST_OFF);
+    let black = BLACK * median_irradiance(baked);
+    let search = || Search { grid, frame, level: function.level(), baked, place: &place, off, black };
+    let rays = AtomicU64::new(0);
+    let counted = |search: &Search<_>| rays.fetch_add(search.level.take_rays(), Ordering::Relaxed);
+    // Of a whole row at a time.
+    let row = grid.counts[0].max(1);
+    let rows = grid.node_count() as u32 / row;
+    let cut = |search: &mut Search<_>, number: u32| {
+        if control.cancelled() {
+            return Err(Interrupted);
+        }
+        let cells = (number * row..(number + 1) * row).filter(|node| grid.is_cell(*node));
+        let cuts: Vec<(u32, Cut)> = cells.filter_map(|node| search.cut(node).map(|cut| (node, cut))).collect();
+        counted(search);
+        Ok(cuts)
     };
-    let found: Vec<(u32, Cut)> = (0..grid.node_count() as u32)
-        .into_par_iter()
-        .filter(|node| grid.is_cell(*node))
-        .filter_map(|node| search.cut(node).map(|cut| (node, cut)))
-        .collect();
+    let found: Result<Vec<Vec<(u32, Cut)>>, Interrupted> = (0..rows).into_par_iter().map_init(search, cut).collect();
+    let found: Vec<(u32, Cut)> = found?.into_iter().flatten().collect();
     if found.is_empty() {
-        return None;
+        return Ok((None, rays.into_inner()));
     }
-    let ends = search.ends(&found);
-    Some(search.collect(found, &ends))
+    let cells: HashSet<u32> = found.iter().map(|(cell, _)| *cell).collect();
+    let ends = |search: &mut Search<_>, (lowest, cut): &(u32, Cut)| {
+        let ends = search.ends(*lowest, cut, &cells);
+        counted(search);
+        ends
+    };
+    let ends: Vec<Vec<u32>> = found.par_iter().map_init(search, ends).collect();
+    let walls = collect(grid, frame, off, found, &ends.into_iter().flatten().collect());
+    Ok((Some(walls), rays.into_inner()))
 }
 
 fn median_irradiance(baked: &Baked) -> f64 {
@@ -262,77 +276,70 @@ impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
         (seen != 0).then_some(Witness { position, weights, seen })
     }
 
-    /// Nodes at which walls end: those of a face between a cell that is cut and one that is not, where the former hides some of
-    /// them from a place in the open.
-    fn ends(&self, found: &[(u32, Cut)]) -> HashSet<u32> {
-        let cuts: HashSet<u32> = found.iter().map(|(cell, _)| *cell).collect();
-        let of_face = |lowest: u32, cut: &Cut, axis: usize, side: usize| -> Option<[u32; 4]> {
-            let cell = self.cell(lowest);
-            let beyond = self.grid.neighbour_cell(lowest, axis, side == 1)?;
-            if cuts.contains(&beyond) {
-                return None;
+    /// Nodes at which the walls of a cell end: those of its faces to cells that are not `cut`, where it hides some of them
+    /// from a place in the open.
+    fn ends(&self, lowest: u32, cut: &Cut, cells: &HashSet<u32>) -> Vec<u32> {
+        let cell = self.cell(lowest);
+        let mut ends = Vec::new();
+        for (axis, side) in [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)] {
+            let beyond = self.grid.neighbour_cell(lowest, axis, side == 1);
+            if beyond.is_none_or(|beyond| cells.contains(&beyond)) {
+                continue;
             }
             let corners = (0..8usize).filter(|corner| corner >> axis & 1 == side);
             let hides = |index: usize| {
-                let mut place = inner_place(index);
-                place[axis] = if side == 1 { 1.0 } else { -1.0 };
                 // Just before the face and just beyond it, with nothing between.
                 let [before, beyond] = [1.0 - ACROSS, 1.0 + ACROSS].map(|share| {
-                    let mut place = place;
-                    place[axis] *= share;
+                    let mut place = inner_place(index);
+                    place[axis] = if side == 1 { share } else { -share };
                     cell.half * place
                 });
                 if !self.level.is_clear(cell.middle + before, cell.middle + beyond) {
                     return false;
                 }
                 let Some(witness) = self.witness(&cell, before) else { return false };
-                let mask = match cut.masks[leaf(witness.position, &cut.splits)] {
-                    0 => return false,
-                    mask => mask,
-                };
-                corners.clone().any(|k| cell.valid & !mask & 1 << k != 0 && witness.weights[k] > LEAST_WEIGHT)
+                let mask = cut.masks[leaf(witness.position, &cut.splits)];
+                let hidden = |k: usize| cell.valid & !mask & 1 << k != 0 && witness.weights[k] > LEAST_WEIGHT;
+                mask != 0 && corners.clone().any(hidden)
             };
-            let nodes: Vec<u32> = corners.clone().map(|corner| cell.nodes[corner]).collect();
-            (0..PER_AXIS * PER_AXIS).any(hides).then(|| nodes.try_into().expect("a face has four corners"))
-        };
-        let faces = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]).collect::<Vec<_>>();
-        let ends = found.par_iter().flat_map_iter(|(lowest, cut)| {
-            faces.iter().filter_map(move |&(axis, side)| of_face(*lowest, cut, axis, side))
-        });
-        ends.collect::<Vec<_>>().into_iter().flatten().collect()
-    }
-
-    /// All cuts, with one table of planes.
-    fn collect(&self, found: Vec<(u32, Cut)>, ends: &HashSet<u32>) -> Walls {
-        let mut walls = Walls::default();
-        let mut numbers: HashMap<[i64; 4], u16> = HashMap::new();
-        let min = DVec3::from(self.grid.min);
-        for (cell, Cut { middle, splits, masks }) in found {
-            let mut planes = [WallCell::NO_PLANE; MOST_PLANES];
-            let mut fits = true;
-            for (plane, split) in planes.iter_mut().zip(splits) {
-                let on_it = self.frame.to_world(middle + split.normal * split.distance) - min;
-                let distance = split.normal.as_dvec3().dot(on_it);
-                let quantum = f64::from(self.off) / self.frame.scale / 8.0;
-                let key = [split.normal.x, split.normal.y, split.normal.z].map(|n| (f64::from(n) * 1e5).round() as i64);
-                let key = [key[0], key[1], key[2], (distance / quantum).round() as i64];
-                let next = walls.planes.len();
-                let number = *numbers.entry(key).or_insert(next.min(usize::from(WallCell::NO_PLANE)) as u16);
-                fits &= number != WallCell::NO_PLANE;
-                if fits && usize::from(number) == next {
-                    walls.planes.push(Plane { normal: split.normal.to_array(), distance: distance as f32 });
-                }
-                *plane = number;
-            }
-            let nodes = self.grid.cell_nodes(cell);
-            let ends = (0..8).filter(|corner| ends.contains(&nodes[*corner])).map(|corner| 1 << corner).sum();
-            match fits {
-                true => walls.cells.push(WallCell { cell, planes, masks, ends }),
-                false => walls.dropped += 1,
+            if (0..PER_AXIS * PER_AXIS).any(hides) {
+                ends.extend(corners.map(|corner| cell.nodes[corner]));
             }
         }
-        walls
+        ends
     }
+}
+
+/// All cuts, with one table of planes. `off`: distances that differ by an eighth of it are one, trace units.
+fn collect(grid: &Grid, frame: &Frame, off: f32, found: Vec<(u32, Cut)>, ends: &HashSet<u32>) -> Walls {
+    let mut walls = Walls::default();
+    let mut numbers: HashMap<[i64; 4], u16> = HashMap::new();
+    let min = DVec3::from(grid.min);
+    for (cell, Cut { middle, splits, masks }) in found {
+        let mut planes = [WallCell::NO_PLANE; MOST_PLANES];
+        let mut fits = true;
+        for (plane, split) in planes.iter_mut().zip(splits) {
+            let on_it = frame.to_world(middle + split.normal * split.distance) - min;
+            let distance = split.normal.as_dvec3().dot(on_it);
+            let quantum = f64::from(off) / frame.scale / 8.0;
+            let key = [split.normal.x, split.normal.y, split.normal.z].map(|n| (f64::from(n) * 1e5).round() as i64);
+            let key = [key[0], key[1], key[2], (distance / quantum).round() as i64];
+            let next = walls.planes.len();
+            let number = *numbers.entry(key).or_insert(next.min(usize::from(WallCell::NO_PLANE)) as u16);
+            fits &= number != WallCell::NO_PLANE;
+            if fits && usize::from(number) == next {
+                walls.planes.push(Plane { normal: split.normal.to_array(), distance: distance as f32 });
+            }
+            *plane = number;
+        }
+        let nodes = grid.cell_nodes(cell);
+        let ends = (0..8).filter(|corner| ends.contains(&nodes[*corner])).map(|corner| 1 << corner).sum();
+        match fits {
+            true => walls.cells.push(WallCell { cell, planes, masks, ends }),
+            false => walls.dropped += 1,
+        }
+    }
+    walls
 }
 
 /// Place number `index` of a cell (-1..1 per axis): one in each of its equal parts, jittered by the golden ratio's kin (R.

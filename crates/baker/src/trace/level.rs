@@ -1,6 +1,7 @@
 //! The level as something to stand in: all surfaces, whatever their role, and which places see each other.
 
 use glam::Vec3;
+use std::cell::Cell;
 
 use super::{Hit, Surfaces};
 use crate::scene::Scene;
@@ -8,11 +9,12 @@ use crate::scene::Scene;
 /// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
 pub(crate) const MAX_LAYERS: u32 = 64;
 
-/// All surfaces of a level; none in plain image based lighting.
-#[derive(Debug, Clone, Copy)]
+/// All surfaces of a level; none in plain image based lighting. For one thread: it counts its rays.
+#[derive(Debug)]
 pub struct Level<'a> {
     scene: &'a Scene,
     surfaces: [Option<&'a Surfaces>; 2],
+    rays: Cell<u64>,
 }
 
 /// The nearest surface along a ray.
@@ -33,7 +35,12 @@ pub struct Met {
 impl<'a> Level<'a> {
     /// Of these surfaces of a scene.
     pub fn new(scene: &'a Scene, surfaces: [Option<&'a Surfaces>; 2]) -> Level<'a> {
-        Level { scene, surfaces }
+        Level { scene, surfaces, rays: Cell::new(0) }
+    }
+
+    /// Rays traced since it was last asked.
+    pub fn take_rays(&self) -> u64 {
+        self.rays.take()
     }
 
     /// Without a surface.
@@ -43,6 +50,7 @@ impl<'a> Level<'a> {
 
     /// The nearest surface along a ray (trace space) that shows itself, nearer than `t_max`.
     pub fn meet(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Met> {
+        self.rays.update(|rays| rays + 1);
         let mut nearest: Option<Met> = None;
         for surfaces in self.surfaces.into_iter().flatten() {
             let limit = nearest.map_or(t_max, |met| met.t);
@@ -58,6 +66,7 @@ impl<'a> Level<'a> {
 
     /// Half of the light or more passes from one place to the other (trace space).
     pub fn is_clear(&self, from: Vec3, to: Vec3) -> bool {
+        self.rays.update(|rays| rays + 1);
         let share = |surfaces: &Surfaces| surfaces.transmittance(self.scene, from, to, None);
         self.surfaces.into_iter().flatten().map(share).product::<f32>() >= 0.5
     }

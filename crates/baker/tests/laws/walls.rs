@@ -184,3 +184,32 @@ fn no_valid_node_sees_backs_in_more_than_a_quarter_of_its_view() {
     let counts = (count(Standing::Solid), count(Standing::Outside), baked.moved.len());
     assert!(counts.0 > 0 && counts.1 > 300 && counts.2 > 5, "{counts:?}");
 }
+
+#[test]
+fn fill_goes_evenly_from_light_to_light() {
+    // Between a bright room and a black one a wall of a metre, with two layers of nodes in it that cannot leave it.
+    let (scene, probes) = two_rooms(1.0);
+    let grid = Grid { min: [-1.98, -1.25, -1.75], max: [2.97, 1.25, 1.75], counts: [16, 6, 8] };
+    let (baked, _) = bake_grid(grid, &gdibl(&scene, &probes, None));
+    let row = |x: usize| x + 16 * (3 + 6 * 4);
+    let light = |x: usize| f64::from(baked.node(row(x))[0]) / (4.0 * PI).sqrt();
+    let place = |x: usize| grid.node_position(row(x))[0];
+    let inside: Vec<usize> = (0..16).filter(|x| !baked.is_valid(row(*x))).collect();
+    assert!(inside.len() == 2 && inside.iter().all(|x| (0.0..1.0).contains(&place(*x))), "{inside:?}");
+    // From one room's light to the other's, evenly.
+    let [a, b] = [inside[0], inside[1]].map(light);
+    assert!((a - 2.0 / 3.0).abs() < 0.01 && (b - 1.0 / 3.0).abs() < 0.01, "{a} {b}");
+}
+
+#[test]
+fn same_light_and_walls_on_any_number_of_threads() {
+    let (scene, probes) = two_rooms(0.1);
+    let grid = Grid { min: [-2.6, -1.25, -1.75], max: [2.9, 1.25, 1.75], counts: [12, 6, 8] };
+    let bake_on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| bake_grid(grid, &gdibl(&scene, &probes, None)).0)
+    };
+    let one = bake_on(1);
+    assert!(one.walls.is_some());
+    assert_eq!(bake_on(3), one);
+}

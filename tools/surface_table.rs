@@ -14,7 +14,7 @@ use gdibl_baker::bake::{BakeSettings, Baked, GatherSettings, Nodes, SurfacePlace
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::path::{Path, PathSettings};
-use gdibl_baker::sampling::{Sampler, Stream, cosine_hemisphere};
+use gdibl_baker::sampling::{Sampler, Stream, cosine_hemisphere, fibonacci_sphere};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::volume::volume_of;
 use gdibl_runtime::{Grid, RadianceSh, Volume};
@@ -28,6 +28,8 @@ const OFF_THE_SURFACE: f64 = 1e-5;
 const LOOKS: u32 = 64;
 /// Who sees more backs than this share is in a solid or outside.
 const MOST_BACKS: u32 = LOOKS / 4;
+/// A node that sees more backs is in a solid.
+const MOST_NODE_BACKS: f64 = 0.25;
 /// Who gets less than this share of the median is hidden.
 const HIDDEN: f64 = 1e-3;
 
@@ -93,6 +95,7 @@ fn main() {
         volume.sample_f64(place.position.to_array(), normal).sh.convolve().evaluate(normal)
     });
     print_jumps(&volume, &function, &baked);
+    print_backs(&function, &baked, &grid);
 }
 
 /// Where the light of a node was taken.
@@ -101,6 +104,28 @@ fn stand(baked: &Baked, grid: &Grid, node: usize) -> DVec3 {
         Ok(found) => baked.moved[found].1,
         Err(_) => DVec3::from(grid.node_position(node)),
     }
+}
+
+/// Valid nodes that see the backs of triangles all around: nodes in solids.
+fn print_backs(function: &Path, baked: &Baked, grid: &Grid) {
+    let directions = fibonacci_sphere(1024);
+    let level = function.level();
+    let (mut single_sided, mut any, mut most) = (0, 0, 0.0f64);
+    for node in baked.valid_nodes() {
+        let origin = function.frame().to_trace(stand(baked, grid, node));
+        let met = directions.iter().filter_map(|direction| level.meet(origin, *direction, f32::INFINITY));
+        let backs: Vec<bool> = met.filter(|met| met.back).map(|met| met.single_sided).collect();
+        let share = |count: usize| count as f64 / directions.len() as f64;
+        let solid = share(backs.iter().filter(|single_sided| **single_sided).count());
+        most = most.max(solid);
+        single_sided += usize::from(solid > MOST_NODE_BACKS);
+        any += usize::from(share(backs.len()) > MOST_NODE_BACKS);
+    }
+    println!(
+        "valid nodes that see backs in more than {MOST_NODE_BACKS} of all directions: {single_sided} of single-sided triangles \
+         (at most {most:.3}), {any} of any; {} nodes moved",
+        baked.moved.len()
+    );
 }
 
 /// How far irradiance jumps where one cell ends and the next begins, at places in the open: nothing is there.

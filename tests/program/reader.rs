@@ -68,3 +68,36 @@ fn independent_reader_finds_the_light_that_sample_prints() {
     }
     assert!(compared > 1000, "{compared} numbers compared");
 }
+
+#[test]
+fn independent_reader_finds_the_same_light_beside_walls() {
+    let folder = Folder::new();
+    let mut level = Level::room([-2.0, -1.0, -3.0], [2.0, 2.0, 1.5]);
+    // A wall that ends before the ceiling, and one across it.
+    level.object(&solid_of([0.3, -1.0, -3.0], [0.33, 1.4, 1.5]), 0, serde_json::json!({}));
+    level.object(&solid_of([-2.0, -1.0, -0.8], [0.3, 2.0, -0.7]), 0, serde_json::json!({}));
+    level.write(&folder, "room.glb");
+    for (name, at, light) in [("a", [-1.0, 0.0, -2.0], 0.1), ("b", [-1.0, 0.5, 0.5], 9.0), ("c", [1.2, 0.0, 0.0], 2.0)]
+    {
+        folder.panorama(&format!("{name}.exr"), 16, Some(at), |d| [light, light * (1.0 + 0.3 * d.x as f32), 1.0]);
+    }
+    let probes = ["a.exr", "b.exr", "c.exr"].iter().flat_map(|name| ["--probes", *name]);
+    let arguments = ["room.glb", "--counts", "7,5,8", "--samples", "200", "--precision", "f32"];
+    folder.bake(&arguments.into_iter().chain(probes).collect::<Vec<_>>());
+    let walls = folder.inspect("room.gdibl")["statistics"]["walls"].clone();
+    assert!(walls["cells"].as_u64() > Some(20) && walls["planes"].as_u64() > Some(1), "{walls}");
+    let mut places: Vec<[f64; 6]> = Vec::new();
+    for (i, n) in (0..40).flat_map(|i| normals().into_iter().map(move |n| (f64::from(i), n))) {
+        let spread = |step: f64, low: f64, high: f64| low + (high - low) * (0.5 + i * step).fract();
+        places.push([spread(0.819, -2.0, 2.0), spread(0.671, -1.0, 2.0), spread(0.55, -3.0, 1.5), n.x, n.y, n.z]);
+        places.push([0.3 + 0.015 * (i % 4.0), spread(0.671, -1.0, 2.0), spread(0.55, -3.0, 1.5), n.x, n.y, n.z]);
+    }
+    let ours = folder.irradiance("room.gdibl", &places);
+    let Some(theirs) = read_independently(&folder, "room.gdibl", &places) else { return };
+    let rms = (theirs.iter().flatten().map(|e| e * e).sum::<f64>() / (3 * theirs.len()) as f64).sqrt();
+    for ((place, ours), theirs) in places.iter().zip(&ours).zip(&theirs) {
+        for (ours, theirs) in ours.iter().zip(theirs) {
+            assert!((ours - theirs).abs() <= 1e-5 * rms, "{place:?}: {ours}, reader {theirs}");
+        }
+    }
+}

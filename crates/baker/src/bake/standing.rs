@@ -32,6 +32,8 @@ pub enum Standing {
 /// Directions in which a node looks around; whoever is in doubt looks more closely.
 const LOOKS: usize = 64;
 const CLOSE_LOOKS: usize = 512;
+/// Who sees more backs is in a solid. A little less than [`SOLID_BACKS`], because so few looks are off by as much.
+const MOST_BACKS: f64 = SOLID_BACKS - 0.02;
 /// Shares of backs between which a node is in doubt.
 const DOUBT: std::ops::Range<f64> = 0.1..0.45;
 /// A node stands off a surface by this share of the distance between nodes, if it stood nearer. A hundredth: close enough
@@ -120,7 +122,7 @@ impl Sites {
         let way_out = |around: &mut Around, &node: &u32| {
             let place = self.place(node, nodes, function);
             let look = around.look(place, CLOSE_LOOKS);
-            let way = around.way_out(place, &look, |met| met.back, |look| look.backs <= SOLID_BACKS);
+            let way = around.way_out(place, &look, |met| met.back, |look| look.backs <= MOST_BACKS);
             (way, around.level.take_rays())
         };
         let found: Vec<(Option<Vec3>, u64)> =
@@ -186,10 +188,10 @@ impl<'a> Around<'a> {
         let look = self.look(place, LOOKS);
         let look = if DOUBT.contains(&look.backs) { self.look(place, CLOSE_LOOKS) } else { look };
         let site = |place, standing, is_suspect| Site { place, standing, is_suspect, rays: self.level.take_rays() };
-        if look.solid <= SOLID_BACKS {
-            return site(place, Standing::Open, look.backs > SOLID_BACKS);
+        if look.solid <= MOST_BACKS {
+            return site(place, Standing::Open, look.backs > MOST_BACKS);
         }
-        let free = |look: &Look| look.solid <= SOLID_BACKS;
+        let free = |look: &Look| look.solid <= MOST_BACKS;
         match self.way_out(place, &look, |met| met.back && met.single_sided, free) {
             Some(place) => site(place, Standing::Open, false),
             None if look.escapes > 0.0 => site(place, Standing::Outside, false),

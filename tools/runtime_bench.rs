@@ -1,10 +1,12 @@
-//! How close the runtime's samples and its parsing come to what the machine can do, as two Markdown tables.
+//! How close the runtime's samples and its parsing come to what the machine can do, as Markdown tables.
 //!
 //! `cargo run --release -p gdibl-tools --bin runtime_bench`; half a minute. Volumes are made here: L2, f16, grids.
 //!
 //! Samples, of 64 MB: `Volume::irradiance` with a normal, against two floors measured at the same places.
 //! * **floor**: finds the cell and blends the 8 × 27 halves in AVX with the processor's own f16 conversion (f16c).
 //! * **touch**: finds the cell and adds up the 8 × 27 raw words. Nothing that reads them can be faster.
+//!
+//! The same with walls in every eighth cell and in all, against none.
 //!
 //! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes.
 //!
@@ -14,7 +16,8 @@
 #![allow(unsafe_code, reason = "calls functions compiled for f16c and AVX, once the processor is known to have them")]
 
 use gdibl_baker::sampling::fibonacci_sphere;
-use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units};
+use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units, WALLS};
+use gdibl_runtime::walls::{Plane, WallCell, walls_to_bytes};
 use gdibl_runtime::{Limits, Volume};
 use half::f16;
 use std::hint::black_box;
@@ -42,7 +45,7 @@ fn main() {
     println!("| L2 f16 samples, 64 MB | irradiance / floor | irradiance / touch | irradiance | floor | touch |");
     println!("|---|---|---|---|---|---|");
     let counts = counts_of(64_000_000);
-    let bytes = file(counts);
+    let bytes = file(counts, 0);
     let volume = Volume::parse(&bytes).expect("a volume");
     let floor = Floor::new(&bytes);
     for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
@@ -68,7 +71,26 @@ fn main() {
         );
     }
 
-    let bytes = file(counts_of(100_000_000));
+    println!();
+    println!("| with walls, over without | in one of 8 cells | in all | without |");
+    println!("|---|---|---|---|");
+    let walled = [8, 1].map(|every| Volume::parse(&file(counts, every)).expect("a volume"));
+    let irradiance = |volume: &Volume, places: &[Place]| {
+        let mut sum = [0.0; 3];
+        for (position, normal) in places {
+            let found = volume.irradiance(*position, *normal);
+            (0..3).for_each(|c| sum[c] += found[c]);
+        }
+        black_box(sum);
+    };
+    for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
+        let read = [&volume, &walled[0], &walled[1]].map(|volume| move |places: &[Place]| irradiance(volume, places));
+        let [without, some, all] = sampling_rounds(&places, [&read[0], &read[1], &read[2]]);
+        let [some, all] = [some, all].map(|times| median_ratio(&times, &without));
+        println!("| {name} | {some:.2} | {all:.2} | {:.1} ns |", median(&without));
+    }
+
+    let bytes = file(counts_of(100_000_000), 0);
     let mut target = vec![0; bytes.len()];
     let mut seconds: [Vec<f64>; 3] = Default::default();
     for _ in 0..PARSES {
@@ -130,8 +152,8 @@ fn counts_of(bytes: usize) -> u32 {
 }
 
 /// A grid of nodes one metre apart, of values evenly between -1 and 1, stored as the baker would: the largest just below
-/// half of f16's largest number.
-fn file(counts: u32) -> Vec<u8> {
+/// half of f16's largest number. With walls in every so-manieth cell, 0: in none.
+fn file(counts: u32, walled: u32) -> Vec<u8> {
     let mut random = Random(1);
     let nodes = counts as usize * counts as usize * counts as usize;
     let mut stored = || f16::from_f32(32_767.0 * (2.0 * random.unit() - 1.0));
@@ -146,21 +168,43 @@ fn file(counts: u32) -> Vec<u8> {
         min: [0.0; 3],
         max: [f64::from(counts - 1); 3],
     };
-    let size = section.len() as u64;
-    let mut entries = [SectionEntry {
-        id: RADIANCE,
+    let mut sections = vec![(RADIANCE, section)];
+    if walled > 0 {
+        sections.push((WALLS, walls(&header, walled)));
+    }
+    let entry = |(id, section): &([u8; 4], Vec<u8>)| SectionEntry {
+        id: *id,
         codec: Codec::Raw,
         filter: Filter::None,
         offset: 0,
-        stored_size: size,
-        raw_size: size,
-        crc32: format::crc32(&section),
-    }];
+        stored_size: section.len() as u64,
+        raw_size: section.len() as u64,
+        crc32: format::crc32(section),
+    };
+    let mut entries: Vec<SectionEntry> = sections.iter().map(entry).collect();
     format::place_sections(&mut entries);
     let mut bytes = format::directory_to_bytes(&header, &entries);
-    bytes.resize(entries[0].offset as usize, 0);
-    bytes.extend(section);
+    for (entry, (_, section)) in entries.iter().zip(sections) {
+        bytes.resize(entry.offset as usize, 0);
+        bytes.extend(section);
+    }
     bytes
+}
+
+/// One wall across the middle of the cells' x, and half of the corners on either side.
+fn walls(header: &Header, every: u32) -> Vec<u8> {
+    const LOW: u8 = 0b0101_0101;
+    let grid = header.grid();
+    let count = header.counts[0];
+    let planes: Vec<Plane> = (0..count).map(|x| Plane { normal: [1.0, 0.0, 0.0], distance: x as f32 + 0.5 }).collect();
+    let cell = |cell: u32| WallCell {
+        cell,
+        planes: [(cell % count) as u16, WallCell::NO_PLANE, WallCell::NO_PLANE],
+        masks: [LOW, !LOW, 0, 0, 0, 0, 0, 0],
+        ends: 0,
+    };
+    let cells = (0..header.node_count() as u32).filter(|node| node % every == 0 && grid.is_cell(*node));
+    walls_to_bytes(&planes, &cells.map(cell).collect::<Vec<_>>())
 }
 
 fn random_places(counts: u32) -> Vec<Place> {

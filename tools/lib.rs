@@ -1,6 +1,7 @@
 //! What the tools share: the uffizi box with its truth, and baking it; ways to keep light in few numbers.
 
 pub mod decoders;
+pub mod encodings;
 pub mod least_squares;
 
 use gdibl_baker::Control;

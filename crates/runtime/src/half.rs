@@ -1,4 +1,5 @@
-//! 16-bit floats (IEEE 754 binary16) to 32-bit: exact, and without a branch, so that loops over it become SIMD.
+//! 16-bit floats (IEEE 754 binary16) to 32-bit: exact, and without a branch, so that loops over it become SIMD. And back,
+//! rounded.
 //!
 //! ```text
 //! f16   s eeeee mmmmmmmmmm                 value = 1.m · 2^(e - 15)
@@ -38,6 +39,20 @@ pub(crate) fn plain_f16_to_scaled_f32(bits: u16) -> f32 {
     f32::from_bits(moved & 0x8fff_ffff)
 }
 
+/// The nearest 16-bit float, of two equally near ones the even one; infinity from 65520 on. NaN gives infinity or NaN.
+pub(crate) fn f32_to_f16(value: f32) -> u16 {
+    let sign = (value.to_bits() >> 16) as u16 & 0x8000;
+    let magnitude = value.to_bits() & 0x7fff_ffff;
+    let rounded = if magnitude < 113 << 23 {
+        // Below 2^-14 f16's step is 2^-24, which is f32's between 1/2 and 1: adding 1/2 rounds.
+        (f32::from_bits(magnitude) + 0.5).to_bits() - 0.5f32.to_bits()
+    } else {
+        // Half a step is added before the 13 low bits go, and a whole one less where the result would stay even.
+        (magnitude - (112 << 23) + 0x0fff + (magnitude >> 13 & 1)) >> 13
+    };
+    sign | rounded.min(0x7c00) as u16
+}
+
 /// Whether a 16-bit float is subnormal: not 0, and below 2^-14.
 #[inline(always)]
 pub(crate) fn f16_is_subnormal(bits: u16) -> bool {
@@ -64,6 +79,24 @@ mod tests {
                 assert_eq!(found.to_bits(), truth.to_bits(), "{bits:#06x}");
             }
             assert_eq!(f16_is_finite(bits), truth.is_finite(), "{bits:#06x}");
+        }
+    }
+
+    #[test]
+    fn rounds_to_16_bits_as_the_half_crate_does() {
+        // Every 16-bit number, the middle to the next one, and what lies on either side of both.
+        for bits in 0..=u16::MAX {
+            let number = f16_to_f32(bits);
+            if number.is_nan() {
+                continue;
+            }
+            let middle = 0.5 * number + 0.5 * f16_to_f32(bits.wrapping_add(1));
+            for exact in [number, middle, number * 1.3, number * 1e-6].map(f32::to_bits) {
+                for near in [exact.wrapping_sub(1), exact, exact + 1].map(f32::from_bits) {
+                    let truth = half::f16::from_f32(near);
+                    assert!(near.is_nan() || f32_to_f16(near) == truth.to_bits(), "{near:e}");
+                }
+            }
         }
     }
 

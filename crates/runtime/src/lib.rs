@@ -39,6 +39,7 @@
 //! | [`sample`] | light at a position: trilinear in a grid, nearest in points and vertices |
 //! | [`walls`] | what keeps light on its side of walls between the nodes of a grid |
 //! | [`nearest`] | the nearest of many positions |
+//! | [`gpu`] | a grid as the buffers that the shaders in `shaders/` sample |
 //! | [`format`](mod@format) | the bytes of a file, shared with the writer; `FORMAT.md` says the same in prose |
 //! | [`half`] | 16-bit floats to 32-bit |
 //!
@@ -56,6 +57,7 @@ mod codec;
 mod crc32;
 mod error;
 pub mod format;
+pub mod gpu;
 pub mod grid;
 pub mod half;
 mod math;

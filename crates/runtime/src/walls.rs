@@ -134,6 +134,11 @@ impl Walls {
         self.cells.iter().map(|cell| cell.cell)
     }
 
+    /// All planes, and all cells in order.
+    pub fn tables(&self) -> (&[Plane], &[WallCell]) {
+        (&self.planes, &self.cells)
+    }
+
     /// How many cells have a record.
     pub fn len(&self) -> usize {
         self.cells.len()

@@ -1,0 +1,189 @@
+//! A grid volume as the buffers that `shaders/gdibl.wgsl`, `gdibl.glsl` and `gdibl.hlsl` sample.
+//!
+//! Upload the four once; the shaders' `gdibl_irradiance(position, normal)` then gives per pixel what
+//! [`Volume::irradiance`] gives. All numbers are little-endian; a word is a u32.
+//!
+//! ```text
+//! header        64 bytes, a uniform buffer
+//!    0   f32 × 3  nodes_per_metre   (count - 1) / (max - min) per axis; 0 on an axis with one node
+//!   12   f32      scale             coefficient = f16 × scale
+//!   16   u32 × 3  counts            nodes per axis
+//!   28   u32      bands             0 to 2
+//!   32   f32 × 3  extent            max - min, metres
+//!   44   f32      bias              metres along the normal before anything is looked up; 0 without walls
+//!   48   u32      marked            0: every node is valid and no cell has a wall, `marks` is of no meaning
+//!   52            zeros
+//! coefficients  2, 6 or 14 words per node (L0, L1, L2): f16 × 3 per coefficient, red green blue, coefficient by
+//!               coefficient, two to a word, the first in the lower half; 0 after the last where their number is odd
+//! marks         3 words per 32 nodes. For node n those at 3 (n / 32), and bit n % 32 of them:
+//!      word 0   1: valid
+//!      word 1   1: walls go through the cell of which n is the lowest corner
+//!      word 2   where in `walls` the record of the first such cell of the 32 is; the others' follow
+//! walls         4 words each. First the planes: f32 × 3 unit normal, f32 distance. Then the cells:
+//!      word 0   u16 × 2 indices of planes in `walls`, the first in the lower half; 65535: none
+//!      word 1   u16 index of the third plane; then the ends, bit 16 + k for corner k
+//!   words 2, 3  masks of the eight parts, a byte each, the first in the lowest
+//! ```
+//! No buffer is empty: what a volume does not need is one element of zeros, for most interfaces bind nothing smaller.
+//! What these numbers mean is said in FORMAT.md, *Light at a position* and *Walls*.
+//!
+//! **Positions** in shaders are relative to [`GpuBuffers::min`]: an f32 then keeps a ten-millionth of the box's size however
+//! far the box is from the origin. Subtract min where you have f64 (per object, or from the camera's position).
+//!
+//! **Bands** 3 and 4 are left out: band 3 adds nothing to irradiance (A_3 = 0), and band 4 at most 8 % of its root mean
+//! square, under one small lamp in the dark.
+//!
+//! **Rounding**: f16 files go over bit by bit. An f32 number v is rounded to f16 with a power of two as scale that brings
+//! the volume's largest number to 2¹⁴ and more: off by at most |v| 2⁻¹¹, or the largest's 2⁻³⁹ where that is more.
+
+use crate::half::f32_to_f16;
+use crate::sh::coefficient_count;
+use crate::volume::{Coefficients, VALID, WALLED};
+use crate::walls::{WallCell, Walls};
+use crate::{Error, Header, Kind, Volume};
+use alloc::format;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// The highest band that shaders evaluate.
+pub const GPU_BANDS: u32 = 2;
+
+/// Nodes that share three words of marks.
+const BLOCK: usize = 32;
+
+/// What the shaders bind. The module's documentation has the layouts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GpuBuffers {
+    /// The box's lowest corner, metres: positions in shaders are relative to it.
+    pub min: [f64; 3],
+    /// The uniform buffer.
+    pub header: [u8; 64],
+    /// Pairs of f16, node by node.
+    pub coefficients: Vec<u32>,
+    /// Three words per 32 nodes.
+    pub marks: Vec<u32>,
+    /// Planes, then cells.
+    pub walls: Vec<[u32; 4]>,
+}
+
+impl Volume {
+    /// The buffers that the shaders sample. [`Error::Unsupported`] if this is no grid, or one so large that a word of its
+    /// coefficients has no number that fits a u32 (300 million nodes of L2: 17 GB).
+    pub fn gpu_buffers(&self) -> Result<GpuBuffers, Error> {
+        let header = &self.header;
+        if header.kind != Kind::Grid {
+            return Err(Error::unsupported("kind", format!("{:?}", header.kind), "a grid, for shaders"));
+        }
+        let bands = header.bands.min(GPU_BANDS);
+        let words = (header.node_count() as u64).saturating_mul(words_per_node(bands) as u64);
+        if words > u64::from(u32::MAX) {
+            return Err(Error::unsupported("counts", format!("{words} words"), "at most 4294967295, for shaders"));
+        }
+        let (scale, coefficients) = self.packed_coefficients(bands);
+        let (planes, cells) = self.walls.as_ref().map_or((&[][..], &[][..]), Walls::tables);
+        let marks = match &self.marks {
+            Some(marks) => packed_marks(marks, planes.len() as u32),
+            None => vec![0; 3],
+        };
+        let mut walls: Vec<[u32; 4]> = Vec::with_capacity((planes.len() + cells.len()).max(1));
+        walls.extend(planes.iter().map(|plane| {
+            let [x, y, z] = plane.normal;
+            [x, y, z, plane.distance].map(f32::to_bits)
+        }));
+        walls.extend(cells.iter().map(packed_cell));
+        if walls.is_empty() {
+            walls.push([0; 4]);
+        }
+        let bias = self.walls.as_ref().map_or(0.0, |walls| walls.bias);
+        let header = header_bytes(header, scale, bands, bias, self.marks.is_some());
+        Ok(GpuBuffers { min: self.header.min, header, coefficients, marks, walls })
+    }
+
+    /// The scale and the words of all nodes.
+    fn packed_coefficients(&self, bands: u32) -> (f32, Vec<u32>) {
+        let (stride, count) = (self.header.values_per_node(), 3 * coefficient_count(bands));
+        let nodes = self.node_count();
+        match &self.coefficients {
+            Coefficients::F16(all) => {
+                let rows = all[..nodes * stride].chunks_exact(stride);
+                (self.header.scale, pairs(rows, count, |&bits| bits))
+            }
+            Coefficients::F32(all) => {
+                let rows = || all[..nodes * stride].chunks_exact(stride);
+                let largest = rows().flat_map(|row| &row[..count]).fold(0.0, |most: f32, value| most.max(value.abs()));
+                // A power of two 2¹⁴ below that of the largest: none comes near f16's own largest, 65504. Not below
+                // 2⁻¹⁰⁰, so that dividing by it overflows nothing.
+                let exponent = ((largest.to_bits() >> 23) as i32 - 127 - 14).max(-100);
+                let scale = f32::from_bits(((exponent + 127) as u32) << 23);
+                (scale, pairs(rows(), count, |value| f32_to_f16(value / scale)))
+            }
+        }
+    }
+}
+
+const fn words_per_node(bands: u32) -> usize {
+    (3 * coefficient_count(bands)).div_ceil(2)
+}
+
+/// The first `count` numbers of each row, two to a word.
+fn pairs<'a, T: 'a>(rows: impl Iterator<Item = &'a [T]>, count: usize, f16: impl Fn(&T) -> u16) -> Vec<u32> {
+    let mut words = Vec::with_capacity(rows.size_hint().0 * count.div_ceil(2));
+    for row in rows {
+        let half = |value: Option<&T>| value.map_or(0, |value| u32::from(f16(value)));
+        words.extend(row[..count].chunks(2).map(|pair| half(pair.first()) | half(pair.get(1)) << 16));
+    }
+    words
+}
+
+/// Three words per 32 nodes; the first cell's record is `walls[first]`.
+fn packed_marks(marks: &[u8], first: u32) -> Vec<u32> {
+    let mut words = Vec::with_capacity(3 * marks.len().div_ceil(BLOCK));
+    let mut record = first;
+    for block in marks.chunks(BLOCK) {
+        let bits = |mark: u8| {
+            let set = |(place, found): (usize, &u8)| u32::from(found & mark != 0) << place;
+            block.iter().enumerate().map(set).sum::<u32>()
+        };
+        let walled = bits(WALLED);
+        words.extend([bits(VALID), walled, record]);
+        record += walled.count_ones();
+    }
+    words
+}
+
+fn packed_cell(cell: &WallCell) -> [u32; 4] {
+    let [a, b, c] = cell.planes.map(u32::from);
+    let masks = |first: usize| u32::from_le_bytes(core::array::from_fn(|k| cell.masks[first + k]));
+    [a | b << 16, c | u32::from(cell.ends) << 16, masks(0), masks(4)]
+}
+
+fn header_bytes(header: &Header, scale: f32, bands: u32, bias: f32, marked: bool) -> [u8; 64] {
+    let extent: [f64; 3] = core::array::from_fn(|axis| header.max[axis] - header.min[axis]);
+    let nodes_per_metre = |axis: usize| match header.counts[axis] {
+        1 => 0.0,
+        // Finite also where the box is flat and has several nodes nevertheless.
+        count => (f64::from(count - 1) / extent[axis]).min(f64::from(f32::MAX)) as f32,
+    };
+    let float = f32::to_bits;
+    let [width, height, depth] = header.counts;
+    let words = [
+        float(nodes_per_metre(0)),
+        float(nodes_per_metre(1)),
+        float(nodes_per_metre(2)),
+        float(scale),
+        width,
+        height,
+        depth,
+        bands,
+        float(extent[0] as f32),
+        float(extent[1] as f32),
+        float(extent[2] as f32),
+        float(bias),
+        u32::from(marked),
+    ];
+    let mut bytes = [0; 64];
+    for (place, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {
+        *place = word.to_le_bytes();
+    }
+    bytes
+}

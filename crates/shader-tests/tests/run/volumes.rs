@@ -1,0 +1,171 @@
+//! Volumes of every kind that a shader can meet, and where to ask them for light.
+
+use crate::common::{File, grid, pattern, raw};
+use crate::gpu::Query;
+use gdibl_runtime::walls::{Plane, WallCell, walls_to_bytes};
+
+/// Numbers that follow from a seed alone.
+pub struct Random(u64);
+
+impl Random {
+    pub fn new(seed: u64) -> Random {
+        Random(seed)
+    }
+
+    /// S. Vigna, "splitmix64" (2015).
+    fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// 0 to `end` - 1.
+    fn below(&mut self, end: usize) -> usize {
+        (self.bits() % end as u64) as usize
+    }
+
+    /// 0..1.
+    fn unit(&mut self) -> f32 {
+        (self.bits() >> 40) as f32 / (1 << 24) as f32
+    }
+
+    /// A direction; one in eight along an axis.
+    fn direction(&mut self) -> [f32; 3] {
+        if self.below(8) == 0 {
+            let mut axis = [0.0; 3];
+            axis[self.below(3)] = if self.below(2) == 0 { -1.0 } else { 1.0 };
+            return axis;
+        }
+        loop {
+            let v: [f32; 3] = std::array::from_fn(|_| 2.0 * self.unit() - 1.0);
+            let squared: f32 = v.iter().map(|v| v * v).sum();
+            if (0.01..=1.0).contains(&squared) {
+                return v.map(|v| v / squared.sqrt());
+            }
+        }
+    }
+}
+
+pub struct Case {
+    pub name: &'static str,
+    pub file: File,
+    pub planes: Vec<Plane>,
+}
+
+/// An empty file of these numbers, its box on the origin.
+fn box_of(counts: [u32; 3], bands: u32, encoding: u32) -> File {
+    let mut file = grid(counts, bands, encoding, if encoding == 1 { 0.5 } else { 1.0 });
+    (file.min, file.max) = ([0.0; 3], [4.0, 1.5, 3.0]);
+    file
+}
+
+/// One node in five is not valid, and the whole of a corner.
+fn some_invalid(file: File) -> File {
+    let [width, height, _] = file.counts.map(|count| count as usize);
+    file.validity(move |node| {
+        let in_corner = node % width < 3 && node / width % height < 3;
+        !in_corner && node * 7919 % 5 != 0
+    })
+}
+
+/// Walls in every third cell: 1 to 3 planes each, with masks that hide a quarter of the corners (of one part in eight all),
+/// and in every second ends.
+fn with_walls(file: File, seed: u64) -> (File, Vec<Plane>) {
+    let grid = gdibl_runtime::Grid { min: file.min, max: file.max, counts: file.counts };
+    let mut random = Random::new(seed);
+    let (mut planes, mut cells) = (Vec::new(), Vec::new());
+    for cell in (0..grid.node_count() as u32).filter(|&cell| grid.is_cell(cell)) {
+        if random.below(3) != 0 {
+            continue;
+        }
+        let (low, high) = grid.cell_box(cell);
+        let mut indices = [WallCell::NO_PLANE; 3];
+        for index in indices.iter_mut().take(1 + random.below(3)) {
+            let through: [f32; 3] = std::array::from_fn(|axis| {
+                let share = f64::from(random.unit());
+                (low[axis] + share * (high[axis] - low[axis]) - file.min[axis]) as f32
+            });
+            let normal = random.direction();
+            *index = planes.len() as u16;
+            planes.push(Plane { normal, distance: (0..3).map(|axis| normal[axis] * through[axis]).sum() });
+        }
+        let masks = std::array::from_fn(|_| match random.below(8) {
+            0 => 0,
+            _ => (random.bits() | random.bits()) as u8,
+        });
+        let ends = if random.below(2) == 0 { 0 } else { random.bits() as u8 };
+        cells.push(WallCell { cell, planes: indices, masks, ends });
+    }
+    (file.section(raw(b"WALL", walls_to_bytes(&planes, &cells))), planes)
+}
+
+pub fn cases() -> Vec<Case> {
+    let plain = |name, file: File| Case { name, file: file.radiance(pattern), planes: Vec::new() };
+    let invalid = |name, file: File| Case { name, file: some_invalid(file.radiance(pattern)), planes: Vec::new() };
+    let walled = |name, file: File, seed| {
+        let (file, planes) = with_walls(file.radiance(pattern), seed);
+        Case { name, file, planes }
+    };
+    let mut far = box_of([7, 5, 6], 2, 1);
+    (far.min, far.max) = ([1e6, -2e6, 3e5], [1e6 + 4.0, -2e6 + 1.5, 3e5 + 3.0]);
+    let mut flat = box_of([7, 3, 6], 2, 1);
+    flat.max[1] = 0.0;
+    vec![
+        plain("all valid, L2", box_of([7, 5, 6], 2, 1)),
+        plain("all valid, L1", box_of([7, 5, 6], 1, 1)),
+        plain("all valid, L0", box_of([7, 5, 6], 0, 1)),
+        plain("L4, of which L2 is used", box_of([4, 3, 3], 4, 1)),
+        plain("f32, L2", box_of([7, 5, 6], 2, 0)),
+        plain("one node", box_of([1, 1, 1], 2, 1)),
+        plain("one node on x and z", box_of([1, 9, 1], 1, 1)),
+        plain("several nodes on an axis without extent", flat),
+        invalid("some invalid, L2", box_of([7, 5, 6], 2, 1)),
+        invalid("some invalid, one node on y, L0", box_of([8, 1, 9], 0, 1)),
+        walled("walls, L2", box_of([7, 5, 6], 2, 1), 1),
+        walled("walls, one node on z, L1", box_of([9, 8, 1], 1, 1), 2),
+        walled("walls, 53 960 nodes, L0", box_of([71, 20, 38], 0, 1), 3),
+        walled("walls, far from the origin, L2", far, 4),
+        {
+            let (file, planes) = with_walls(some_invalid(box_of([7, 5, 6], 1, 1).radiance(pattern)), 5);
+            Case { name: "walls, some invalid, L1", file, planes }
+        },
+    ]
+}
+
+/// Half of the queries lie anywhere in the box. Of the others a quarter each: around it; with a coordinate on a cell's face; on
+/// nodes; on walls, facing to one of the wall's sides or wherever.
+pub fn queries(case: &Case, count: usize, seed: u64) -> Vec<Query> {
+    let mut random = Random::new(seed);
+    let extent: [f32; 3] = std::array::from_fn(|axis| (case.file.max[axis] - case.file.min[axis]) as f32);
+    let query = |number: usize| {
+        let mut position: [f32; 3] = std::array::from_fn(|axis| random.unit() * extent[axis]);
+        let mut normal = random.direction();
+        let on_node = |axis: usize, random: &mut Random| {
+            let count = case.file.counts[axis] as usize;
+            random.below(count) as f32 / (count - 1).max(1) as f32 * extent[axis]
+        };
+        match number % 8 {
+            0 => position = std::array::from_fn(|axis| 2.0 * position[axis] - 0.5 * extent[axis]),
+            1 => {
+                let axis = random.below(3);
+                position[axis] = on_node(axis, &mut random);
+            }
+            2 => position = [0, 1, 2].map(|axis| on_node(axis, &mut random)),
+            3 if !case.planes.is_empty() => {
+                let plane = case.planes[random.below(case.planes.len())];
+                let height = (0..3).map(|axis| plane.normal[axis] * position[axis]).sum::<f32>() - plane.distance;
+                position = std::array::from_fn(|axis| position[axis] - height * plane.normal[axis]);
+                match random.below(3) {
+                    0 => normal = plane.normal,
+                    1 => normal = plane.normal.map(|v| -v),
+                    _ => {}
+                }
+            }
+            _ => {}
+        }
+        Query { position, normal, anywhere: number % 8 >= 4 }
+    };
+    (0..count).map(query).collect()
+}

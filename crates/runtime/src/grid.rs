@@ -111,7 +111,7 @@ impl Grid {
     }
 
     /// Nodes and weights of [`locate`](Grid::locate).
-    #[inline]
+    #[inline(always)]
     pub(crate) fn corners(&self, position: [f64; 3]) -> ([u32; 8], [f32; 8]) {
         let mut lower = [0; 3];
         let mut higher = [0; 3];

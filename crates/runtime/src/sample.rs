@@ -89,30 +89,35 @@ impl Volume {
     /// The nodes around a position, their weights, which add up to 1, and the share of valid nodes in them.
     #[inline(always)]
     fn grid_weights(&self, mut position: [f64; 3], normal: [f32; 3]) -> ([u32; 8], [f32; 8], f32) {
-        let grid = self.header.grid();
-        let Some(marks) = &self.marks else {
-            let (nodes, weights) = grid.corners(position);
-            return (nodes, weights, 1.0);
-        };
         if let Some(walls) = &self.walls {
-            // What is no unit vector moves nothing.
-            let along = |k: usize| if normal[k].abs() < 1.5 { normal[k] } else { 0.0 };
-            position = array::from_fn(|k| position[k] + f64::from(walls.bias * along(k)));
+            position = walls.off_surface(position, normal);
         }
-        let (nodes, weights) = grid.corners(position);
-        let is_valid = |k: usize| f32::from(marks[nodes[k] as usize] & VALID);
-        let weights_of_valid: [f32; 8] = array::from_fn(|k| weights[k] * is_valid(k));
-        let validity = weights_of_valid.iter().sum::<f32>().min(1.0);
+        let (nodes, mut weights) = self.header.grid().corners(position);
+        let mut validity = 1.0;
+        if let Some(marks) = &self.marks {
+            validity = self.mark_weights(marks, position, &nodes, &mut weights);
+        }
+        (nodes, weights, validity)
+    }
+
+    /// Changes the weights to those of valid nodes, that are seen where there are walls; returns the share of valid ones.
+    #[inline]
+    fn mark_weights(&self, marks: &[u8], position: [f64; 3], nodes: &[u32; 8], weights: &mut [f32; 8]) -> f32 {
+        let valid: [f32; 8] = array::from_fn(|k| weights[k] * f32::from(marks[nodes[k] as usize] & VALID));
+        let validity = valid.iter().sum::<f32>().min(1.0);
         if marks[nodes[0] as usize] & WALLED != 0 {
-            let seen = self.seen_weights(&nodes, &weights, &weights_of_valid, position);
-            if let Some(weights) = seen {
-                return (nodes, weights, validity);
+            let seen = self.seen_weights(nodes, weights, &valid, position);
+            if let Some(seen) = seen {
+                *weights = seen;
+                return validity;
             }
         }
         if validity < LEAST_VALID {
-            return (nodes, weights, 0.0);
+            return 0.0;
         }
-        (nodes, weights_of_valid.map(|weight| weight / validity), validity)
+        let scale = 1.0 / validity;
+        *weights = valid.map(|weight| weight * scale);
+        validity
     }
 
     /// The weights of the nodes that are seen from a position in a cell with walls, which add up to 1; None where there is
@@ -122,13 +127,13 @@ impl Volume {
         &self,
         nodes: &[u32; 8],
         weights: &[f32; 8],
-        weights_of_valid: &[f32; 8],
+        valid: &[f32; 8],
         position: [f64; 3],
     ) -> Option<[f32; 8]> {
         let (min, max) = (self.header.min, self.header.max);
         let place = array::from_fn(|k| position[k].max(min[k]).min(max[k]) - min[k]);
         let shares = self.walls.as_ref()?.shares(nodes[0], place, weights);
-        let seen: [f32; 8] = array::from_fn(|k| weights_of_valid[k] * shares[k]);
+        let seen: [f32; 8] = array::from_fn(|k| valid[k] * shares[k]);
         let sum = seen.iter().sum::<f32>();
         (sum >= LEAST_VALID).then(|| seen.map(|weight| weight / sum))
     }

@@ -9,6 +9,7 @@ use alloc::format;
 use alloc::string::ToString;
 use alloc::vec;
 use alloc::vec::Vec;
+use core::array;
 
 /// Most planes that cut a cell.
 pub const MOST_PLANES: usize = 3;
@@ -83,7 +84,7 @@ impl Walls {
     /// Reads section `WALL`.
     pub fn parse(bytes: &[u8], header: &Header) -> Result<Walls, Error> {
         let place = "section WALL";
-        let word = |at: usize| u32::from_le_bytes(core::array::from_fn(|k| bytes[at + k]));
+        let word = |at: usize| u32::from_le_bytes(array::from_fn(|k| bytes[at + k]));
         let (plane_count, cell_count) = match bytes.len() {
             8.. => (word(0) as usize, word(4) as usize),
             found => return Err(Error::invalid(place, format!("{found} bytes"), "at least 8")),
@@ -144,6 +145,13 @@ impl Walls {
         self.cells.len()
     }
 
+    /// A position on a surface, on the side that it faces.
+    pub fn off_surface(&self, position: [f64; 3], normal: [f32; 3]) -> [f64; 3] {
+        // What is no unit vector moves nothing.
+        let along = |k: usize| if normal[k].abs() < 1.5 { normal[k] } else { 0.0 };
+        array::from_fn(|k| position[k] + f64::from(self.bias * along(k)))
+    }
+
     /// How much each corner of a cell counts at a position, relative to the header's min, where the cell's trilinear weights
     /// are these; all in full where the cell has no record.
     pub fn shares(&self, cell: u32, position: [f64; 3], weights: &[f32; 8]) -> [f32; 8] {
@@ -160,7 +168,7 @@ impl Walls {
         let mask = found.masks[part];
         let at_ends: f32 = (0..8).filter(|k| found.ends >> k & 1 == 1).map(|k| weights[k]).sum();
         let hidden = (2.0 * at_ends - 1.0).max(0.0);
-        core::array::from_fn(|k| if mask >> k & 1 == 1 { 1.0 } else { hidden })
+        array::from_fn(|k| if mask >> k & 1 == 1 { 1.0 } else { hidden })
     }
 }
 
@@ -173,16 +181,16 @@ fn bias(grid: &Grid) -> f32 {
 }
 
 fn plane_from(bytes: &[u8; PLANE_SIZE]) -> Plane {
-    let float = |k: usize| f32::from_le_bytes(core::array::from_fn(|i| bytes[4 * k + i]));
+    let float = |k: usize| f32::from_le_bytes(array::from_fn(|i| bytes[4 * k + i]));
     Plane { normal: [float(0), float(1), float(2)], distance: float(3) }
 }
 
 fn cell_from(bytes: &[u8; WallCell::SIZE]) -> WallCell {
     let half = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
     WallCell {
-        cell: u32::from_le_bytes(core::array::from_fn(|i| bytes[i])),
+        cell: u32::from_le_bytes(array::from_fn(|i| bytes[i])),
         planes: [half(4), half(6), half(8)],
-        masks: core::array::from_fn(|i| bytes[12 + i]),
+        masks: array::from_fn(|i| bytes[12 + i]),
         ends: bytes[10],
     }
 }

@@ -267,9 +267,8 @@ pub unsafe extern "C" fn gdibl_irradiance_f64(
     guarded(|| {
         // SAFETY: each is NULL, which is refused, or alive, or has three numbers.
         unsafe {
-            let normal = three(normal)?;
-            let found = volume_at(volume)?.sample_f64(three(position)?, normal);
-            write(irradiance.cast(), found.sh.convolve().evaluate(normal))
+            let found = volume_at(volume)?.irradiance_f64(three(position)?, three(normal)?);
+            write(irradiance.cast(), found)
         }
     })
 }

@@ -70,13 +70,19 @@ impl Volume {
     /// What falls on a surface: `diffuse = albedo / PI * irradiance`. Not clamped, see
     /// [`IrradianceSh::evaluate`](crate::IrradianceSh::evaluate). The same as `sample(position, normal).sh.convolve()
     /// .evaluate(normal)` but for rounding, in less time.
+    #[inline]
     pub fn irradiance(&self, position: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
+        self.irradiance_f64(position.map(f64::from), normal)
+    }
+
+    /// The same for levels far from the origin.
+    pub fn irradiance_f64(&self, position: [f64; 3], normal: [f32; 3]) -> [f32; 3] {
         match self.header.kind {
             Kind::Grid => {
-                let (nodes, weights, _) = self.grid_weights(position.map(f64::from), normal);
+                let (nodes, weights, _) = self.grid_weights(position, normal);
                 self.blended(&nodes, &weights, |bands, radiance| irradiance(bands, radiance, normal))
             }
-            Kind::Points | Kind::Vertices => self.sample(position, normal).sh.convolve().evaluate(normal),
+            Kind::Points | Kind::Vertices => self.sample_f64(position, normal).sh.convolve().evaluate(normal),
         }
     }
 

@@ -2,7 +2,8 @@
 //!
 //! **Grid**: trilinear between the eight nodes around, of which only valid ones count; their weights are scaled to add
 //! up to 1 again. Where none is valid (or less than [`LEAST_VALID`] of them is), filled values are as good as any:
-//! plain trilinear over all eight. Outside the box the answer is that of the nearest position in it, and
+//! plain trilinear over all eight. In a file with walls only nodes count that are seen from the position, moved a hair
+//! along the normal: see [`walls`](crate::walls). Outside the box the answer is that of the nearest position in it, and
 //! [`Sample::inside`] is false: a caller with several volumes, or with a fallback, looks there.
 //!
 //! **Points**: the nearest one. **Vertices**: the nearest one; among those within [`NORMAL_TIE`] of it, the one whose
@@ -39,8 +40,8 @@ pub struct Sample {
 }
 
 impl Volume {
-    /// Light at a position in metres. The unit `normal` of the surface there picks between vertices at the same place;
-    /// grids and points do not use it.
+    /// Light at a position in metres. The unit `normal` of the surface there picks between vertices at the same place, and in
+    /// a grid with walls the side of a wall that the position lies on. Points, and grids without walls, do not use it.
     pub fn sample(&self, position: [f32; 3], normal: [f32; 3]) -> Sample {
         self.sample_f64(position.map(f64::from), normal)
     }

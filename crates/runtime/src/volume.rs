@@ -10,7 +10,7 @@ use crate::format::{
 };
 use crate::half::{f16_is_finite, f16_is_subnormal, f16_to_f32};
 use crate::nearest::NearestIndex;
-use crate::walls::{Walls, check_kind};
+use crate::walls::Walls;
 use crate::{Error, RadianceSh};
 use alloc::format;
 use alloc::vec;
@@ -208,6 +208,7 @@ impl Sections<'_> {
             (POSITIONS, placed, placed),
             (NORMALS, vertices, vertices),
             (MESHES, vertices, false),
+            (WALLS, !placed, false),
         ] {
             let present = self.directory.section(id).is_some();
             let (found, expected) = match (present, allowed) {
@@ -265,7 +266,6 @@ impl Sections<'_> {
         let Some(bytes) = self.directory.checked_section_bytes(WALLS)? else {
             return Ok(None);
         };
-        check_kind(&self.directory.header)?;
         Walls::parse(&bytes, &self.directory.header).map(Some)
     }
 

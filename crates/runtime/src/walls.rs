@@ -3,10 +3,9 @@
 //! Up to three planes cut a cell into parts, and each part has a mask of the corners that are seen from there. Cells without
 //! a record have no wall in them. All of a file's planes are in one table, for a wall goes through many cells.
 
-use crate::format::{Header, WALLS};
+use crate::format::Header;
 use crate::{Error, Grid};
 use alloc::format;
-use alloc::string::ToString;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::array;
@@ -192,17 +191,5 @@ fn cell_from(bytes: &[u8; WallCell::SIZE]) -> WallCell {
         planes: [half(4), half(6), half(8)],
         masks: array::from_fn(|i| bytes[12 + i]),
         ends: bytes[10],
-    }
-}
-
-/// Checks that a volume of this kind may have walls.
-pub(crate) fn check_kind(header: &Header) -> Result<(), Error> {
-    match header.kind {
-        crate::Kind::Grid => Ok(()),
-        kind => Err(Error::invalid(
-            format!("section {}", WALLS.escape_ascii()),
-            "one".to_string(),
-            format!("none in a volume of kind {kind:?}"),
-        )),
     }
 }

@@ -8,6 +8,7 @@
 
 use gdibl_runtime::grid::Grid;
 use gdibl_runtime::sh;
+use gdibl_runtime::walls::{BIAS, MOST_PLANES};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
@@ -18,8 +19,6 @@ use crate::radiance::RadianceFunction;
 use crate::trace::{Frame, Level};
 use crate::{Control, Interrupted};
 
-/// Most planes that cut a cell.
-pub const MOST_PLANES: usize = gdibl_runtime::walls::MOST_PLANES;
 pub use gdibl_runtime::walls::{Plane, WallCell};
 
 /// What the runtime needs to keep light on its side of walls.
@@ -36,7 +35,7 @@ pub struct Walls {
 /// Places per axis from which a cell is looked at.
 const PER_AXIS: usize = 4;
 /// Places on a surface stand off it by this share of the distance between nodes: the runtime's own bias.
-const OFF_SURFACES: f32 = gdibl_runtime::walls::BIAS;
+const OFF_SURFACES: f32 = BIAS;
 /// At least so far, trace units: some ulps.
 const LEAST_OFF: f32 = 5e-4;
 /// Places so far beyond a face, as a share of the cell, are in it, too: those on a surface that lies in the face.

@@ -75,8 +75,8 @@ impl Radiance {
     }
 }
 
-/// Who sees no light, and backs of triangles in more than this share of directions, is inside a solid: it may stand on a
-/// floor, and that shows its front. A dark room shows the fronts of its walls.
+/// Who sees backs of single-sided triangles in more than this share of directions, or any backs and no light, is inside a
+/// solid or outside: it may stand on a floor, and that shows its front. A dark room shows the fronts of its walls.
 pub(crate) const SOLID_BACKS: f64 = 0.25;
 
 /// What one worker carries from ray to ray: random points, scratch memory, counts.
@@ -90,8 +90,6 @@ pub struct PathContext {
     pub replicate: Option<u32>,
     /// Every ray traced, lines of sight included.
     pub rays: u64,
-    /// First hits on the back of a triangle, by its winding, single-sided or not.
-    pub backs: u64,
     /// Trace units to what the ray at hand met first, infinite where it escaped; `None` until it is known.
     pub reach: Option<f32>,
     scratch: gdibl::Scratch,
@@ -100,7 +98,7 @@ pub struct PathContext {
 impl PathContext {
     /// For the given stream of points.
     pub fn new(stream: Stream) -> Self {
-        PathContext { stream, sample: 0, replicate: None, rays: 0, backs: 0, reach: None, scratch: Default::default() }
+        PathContext { stream, sample: 0, replicate: None, rays: 0, reach: None, scratch: Default::default() }
     }
 
     /// Random numbers `pair` of the sample at hand.

@@ -294,7 +294,6 @@ impl RadianceFunction for Path<'_> {
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         let first = self.meet(origin, direction, context);
         context.reach = Some(first.map_or(f32::INFINITY, |hit| hit.t));
-        context.backs += u64::from(first.is_some_and(|hit| hit.back));
         if let (None, Some(sky)) = (first, &self.sky) {
             return Radiance::covered(sky.radiance_at_node(direction));
         }

@@ -42,7 +42,7 @@ class Volume:
         units, section_count = struct.unpack_from("<2I", data, 40)
         self.min = struct.unpack_from("<3d", data, 48)
         self.max = struct.unpack_from("<3d", data, 72)
-        demand(self.kind <= 2, f"kind {self.kind}")
+        demand(self.kind <= 3, f"kind {self.kind}")
         demand(self.bands <= 4, f"bands {self.bands}")
         demand(self.encoding <= 1, f"encoding {self.encoding}")
         demand(units <= 1, f"units {units}")  # 1 is de-ringed, and reads alike
@@ -118,9 +118,44 @@ class Volume:
         demand(all(map(math.isfinite, self.radiance)), "RSH : not finite")
         self.valid = self.numbers(b"VALD", "B", 1, False)
         demand(self.valid is None or max(self.valid) <= 1, "VALD: neither 0 nor 1")
+        self.read_bricks()
         self.read_walls()
-        self.positions = self.numbers(b"POSN", "f", 3, self.kind != 0)
+        self.positions = self.numbers(b"POSN", "f", 3, self.kind in (1, 2))
         self.normals = self.numbers(b"NORM", "f", 3, self.kind == 2)
+
+    def read_bricks(self):
+        """The grid that cells are made of, and the nodes in it: {place: node}."""
+        self.grid = self.counts
+        self.levels = 0
+        data = self.sections.get(b"BRIK")
+        demand((data is not None) == (self.kind == 3), "BRIK: in sparse grids and nowhere else")
+        if data is None:
+            return
+        demand(len(data) >= 16, "BRIK: cut off")
+        *grid, self.levels = struct.unpack_from("<4I", data)
+        self.grid = tuple(grid)
+        coarsest = 1 << self.levels
+        demand(1 <= self.levels <= 3, f"BRIK: {self.levels} levels")
+        demand(all(n == 1 or n > 1 and (n - 1) % coarsest == 0 for n in grid), f"BRIK: counts {grid}")
+        bricks = [(x, y, z) for z in range(0, grid[2], 8) for y in range(0, grid[1], 8) for x in range(0, grid[0], 8)]
+        flags = data[16 : 16 + len(bricks)]
+        demand(len(data) == 16 + len(bricks) + 64 * sum(flags) and set(flags) <= {0, 1}, "BRIK: size")
+        at = 16 + len(bricks)
+        self.nodes = {}
+        for (x0, y0, z0), flag in zip(bricks, flags):
+            bits = data[at : at + 64] if flag else None
+            at += 64 * flag
+            for z in range(8):
+                for y in range(8):
+                    for x in range(8):
+                        place = (x0 + x, y0 + y, z0 + z)
+                        if bits:
+                            is_node = bits[8 * z + y] >> x & 1
+                        else:
+                            is_node = not any(p % coarsest for p in place) and all(p < n for p, n in zip(place, grid))
+                        if is_node:
+                            self.nodes[place] = len(self.nodes)
+        demand(len(self.nodes) == self.node_count, f"BRIK: {len(self.nodes)} nodes, not {self.node_count}")
 
     def read_walls(self):
         """Cells with walls: {lowest node: ([(normal, distance)], ends, masks)}."""
@@ -128,7 +163,7 @@ class Volume:
         data = self.sections.get(b"WALL")
         if data is None:
             return
-        demand(self.kind == 0, "WALL: not in a grid")
+        demand(self.kind in (0, 3), "WALL: not in a grid")
         demand(len(data) >= 8, "WALL: cut off")
         plane_count, cell_count = struct.unpack_from("<2I", data)
         demand(len(data) == 8 + 16 * plane_count + 20 * cell_count, "WALL: size")
@@ -139,7 +174,7 @@ class Volume:
         for k in range(cell_count):
             cell, a, b, c, ends, _, *masks = struct.unpack_from("<I3H10B", data, 8 + 16 * plane_count + 20 * k)
             used = [a, b, c, 65535].index(65535)
-            demand(cell > last and cell < self.node_count, f"WALL: cell {cell}")
+            demand(cell > last and cell < math.prod(self.grid), f"WALL: cell {cell}")
             demand(max([-1, *(a, b, c)[:used]]) < plane_count, f"WALL: cell {cell}: planes")
             self.walls[cell] = ([planes[p] for p in (a, b, c)[:used]], ends, masks)
             last = cell
@@ -154,46 +189,39 @@ class Volume:
 
     def weights(self, position, normal):
         """[(node, weight)] whose weights add up to 1."""
-        if self.kind == 0:
+        if self.kind in (0, 3):
             return self.grid_weights(position, normal)
         return [(self.nearest(position, normal), 1.0)]
 
     def grid_weights(self, position, normal):
         if self.walls is not None:
-            steps = [(h - l) / (n - 1) for l, h, n in zip(self.min, self.max, self.counts) if n > 1 and h > l]
+            steps = [(h - l) / (n - 1) for l, h, n in zip(self.min, self.max, self.grid) if n > 1 and h > l]
             bias = 1e-4 * min(steps, default=0.0)
             position = [p + bias * n for p, n in zip(position, normal)]
-        axes = []
-        for p, low, high, count in zip(position, self.min, self.max, self.counts):
-            if count == 1:
-                axes.append([(0, 1.0)])
-                continue
+        place = []
+        for p, low, high, count in zip(position, self.min, self.max, self.grid):
             if high > low:
                 t = (p - low) / (high - low) * (count - 1)
             else:
                 t = count - 1 if p > low else 0
-            t = min(max(t, 0.0), count - 1.0) if t == t else 0.0
-            lower = min(math.floor(t), count - 2)
-            axes.append([(lower, 1 - (t - lower)), (lower + 1, t - lower)])
-        corners = []
-        for x, wx in axes[0]:
-            for y, wy in axes[1]:
-                for z, wz in axes[2]:
-                    node = x + self.counts[0] * (y + self.counts[1] * z)
-                    corners.append((node, wx * wy * wz))
-        cell = self.walls and self.walls.get(corners[0][0])
+            place.append(min(max(t, 0.0), count - 1.0) if t == t else 0.0)
+        lowest, width = self.leaf([min(math.floor(t), max(count - 2, 0)) for t, count in zip(place, self.grid)])
+        share = [(t - low) / width for t, low in zip(place, lowest)]
+        # The corners by their numbers in the file: an axis with one place has lower ones alone.
+        wide = [count > 1 for count in self.grid]
+        bits = [k for k in range(8) if all(wide[a] or not k >> a & 1 for a in range(3))]
+        weights = {k: math.prod(share[a] if k >> a & 1 else 1 - share[a] for a in range(3)) for k in bits}
+        places = {k: tuple(low + (k >> a & 1) * width for a, low in enumerate(lowest)) for k in bits}
+        if self.kind == 3:
+            self.spread(lowest, width, weights, places)
+            corners = [(self.nodes[places[k]], weights[k]) for k in bits]
+        else:
+            corners = [(self.index_of(places[k]), weights[k]) for k in bits]
+        cell = self.walls and self.walls.get(self.index_of(lowest))
         if cell:
             planes, ends, masks = cell
             q = [min(max(p, low), high) - low for p, low, high in zip(position, self.min, self.max)]
             part = sum((n0 * q[0] + n1 * q[1] + n2 * q[2] > d) << k for k, (n0, n1, n2, d) in enumerate(planes))
-            # The loop above ran x slowest: number corners as the file does.
-            wide = [count > 1 for count in self.counts]
-            bits = [
-                x | y << 1 | z << 2
-                for x in range(1 + wide[0])
-                for y in range(1 + wide[1])
-                for z in range(1 + wide[2])
-            ]
             at_ends = sum(weight for (_, weight), k in zip(corners, bits) if ends >> k & 1)
             hidden = max(0.0, 2 * at_ends - 1)
             shares = [1.0 if masks[part] >> k & 1 else hidden for k in bits]
@@ -205,6 +233,40 @@ class Volume:
         if valid < 1e-6:
             return corners
         return [(node, weight / valid) for node, weight in corners if self.is_valid(node)]
+
+    def index_of(self, place):
+        return place[0] + self.grid[0] * (place[1] + self.grid[1] * place[2])
+
+    def leaf(self, cell):
+        """Lowest place and width of the leaf that a cell of the fine grid is part of."""
+        for level in range(self.levels, 0, -1):
+            width = 1 << level
+            lowest = tuple(p // width * width for p in cell)
+            middle = tuple(p + width // 2 if n > 1 else 0 for p, n in zip(lowest, self.grid))
+            if middle not in self.nodes:
+                return lowest, width
+        return tuple(cell), 1
+
+    def spread(self, lowest, width, weights, places):
+        """Weights of corners become weights of nodes, which take the corners' places."""
+        parent = [low // (2 * width) * (2 * width) for low in lowest]
+        shared = sum((low != p) << a for a, (low, p) in enumerate(zip(lowest, parent)))
+        def odd_axes(k):
+            return [a for a in range(3) if places[k][a] // width % 2]
+
+        hanging = [k for k, place in places.items() if place not in self.nodes]
+        for k in sorted(hanging, key=lambda k: len(odd_axes(k))):
+            odd = odd_axes(k)
+            share = weights[k] / 2 ** len(odd)
+            weights[k] = share
+            weights[shared] += share
+            if len(odd) == 2:
+                for a in odd:
+                    weights[shared ^ 1 << a] += share
+            far = list(places[k])
+            for a in odd:
+                far[a] = 2 * parent[a] + 2 * width - places[shared][a]
+            places[k] = tuple(far)
 
     def nearest(self, position, normal):
         # A coordinate that is no finite number counts as the box's min.

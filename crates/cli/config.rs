@@ -29,6 +29,10 @@ pub struct GridFlags {
     /// Grid nodes per axis: X,Y,Z
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 1)]
     pub counts: Option<Vec<u64>>,
+    /// Leave grid nodes out where light between their neighbours is right to this share (0.01 is 1 %); spacing, or counts,
+    /// then say how fine the grid may become, and counts grow until coarser cells fit in [default: all are baked]
+    #[arg(long, value_name = "F")]
+    pub tolerance: Option<f64>,
 }
 
 /// Flags that BAKE.toml can hold too. `None`: not said.
@@ -446,6 +450,7 @@ impl GridFlags {
             bounds: self.bounds.or(file.bounds),
             spacing: if by_flag { self.spacing } else { file.spacing },
             counts: if by_flag { self.counts } else { file.counts },
+            tolerance: self.tolerance.or(file.tolerance),
         })
     }
 }

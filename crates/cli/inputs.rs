@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3, Quat, Vec3};
 use std::path::{Path, PathBuf};
 
 use gdibl_baker::Finding;
-use gdibl_baker::bake::{Nodes, grid_of_counts, grid_of_spacing};
+use gdibl_baker::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_spacing};
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, Panorama, Sun, to_lat_long};
@@ -222,8 +222,14 @@ pub fn nodes_of(config: &Config, scene: &Scene) -> Result<Nodes, Fault> {
     let flags = &config.grid;
     match flags.nodes.as_ref().unwrap_or(&NodeKind::Grid) {
         NodeKind::Grid => grid_of(config, scene),
-        kind if flags.bounds.is_some() || flags.spacing.is_some() || flags.counts.is_some() => {
-            Err(Fault::Usage(format!("--bounds, --spacing and --counts belong to --nodes grid; here it is {kind:?}")))
+        kind if flags.bounds.is_some()
+            || flags.spacing.is_some()
+            || flags.counts.is_some()
+            || flags.tolerance.is_some() =>
+        {
+            Err(Fault::Usage(format!(
+                "--bounds, --spacing, --counts and --tolerance belong to --nodes grid; here it is {kind:?}"
+            )))
         }
         NodeKind::Vertices => {
             let nodes = Nodes::vertices_of(scene);
@@ -237,7 +243,10 @@ pub fn nodes_of(config: &Config, scene: &Scene) -> Result<Nodes, Fault> {
 }
 
 fn grid_of(config: &Config, scene: &Scene) -> Result<Nodes, Fault> {
-    let GridFlags { bounds, spacing, counts, .. } = &config.grid;
+    let GridFlags { bounds, spacing, counts, tolerance, .. } = &config.grid;
+    if let Some(tolerance) = tolerance.filter(|tolerance| !(*tolerance > 0.0 && tolerance.is_finite())) {
+        return Err(Fault::Usage(format!("--tolerance {tolerance}: expected a positive share, 0.01 for 1 %")));
+    }
     let marker = match &scene.volume_markers[..] {
         [] => None,
         _ if bounds.is_some() => None,
@@ -263,6 +272,7 @@ fn grid_of(config: &Config, scene: &Scene) -> Result<Nodes, Fault> {
         (None, Some(spacing)) => return Err(Fault::Usage(format!("--spacing {spacing}: expected metres above 0"))),
         (None, None) => grid_of_spacing(min, max, (max - min).max_element() / (DEFAULT_NODES - 1.0)),
     };
+    let grid = if tolerance.is_some() { grid_of_cells(grid) } else { grid };
     let [x, y, z] = grid.counts;
     let nodes = f64::from(x) * f64::from(y) * f64::from(z);
     if nodes > f64::from(u32::MAX) {

@@ -221,6 +221,41 @@ fn target_error_out_of_reach_ends_with_5_and_writes_the_volume() {
 }
 
 #[test]
+fn with_a_tolerance_nodes_are_left_out_and_the_error_between_them_is_told() {
+    let folder = coloured_room();
+    let sparse = ["--counts", "25,17,17", "--samples", "512", "--tolerance", "0.05"];
+    let report = folder.bake(&[&PROBES[..], &sparse].concat());
+    let found = &report["sparse"];
+    assert_eq!(found["places"], 25 * 17 * 17);
+    assert!(report["nodes"].as_u64() < Some(25 * 17 * 17 / 2), "{report}");
+    let middles = &found["levels"][1];
+    assert!(middles["checked"].as_u64() > Some(20) && middles["error"]["median"].as_f64() < Some(0.05), "{found}");
+    let inspected = folder.inspect("room.gdibl");
+    assert_eq!(inspected["kind"], "sparse grid");
+    assert_eq!(inspected["grid"]["counts"], serde_json::json!([25, 17, 17]));
+    assert_eq!(inspected["statistics"]["sparse"], *found);
+    let row = inspected["plan"].as_array().unwrap().iter().find(|row| row["stage"] == "sparse").unwrap().clone();
+    assert_eq!(row["kept"], true);
+    // Dense, it is larger, and says the same about light.
+    let fewer = folder.read("room.gdibl").len();
+    folder.bake(&[&PROBES[..], &["-o", "dense.gdibl"], &sparse[..4]].concat());
+    assert!(folder.read("dense.gdibl").len() > 2 * fewer);
+    let comparison = folder.ok(&["compare", "room.gdibl", "dense.gdibl", "--json"]);
+    let comparison: Value = serde_json::from_str(&comparison).unwrap();
+    assert!(comparison["all"]["per_node"]["p95"].as_f64() < Some(0.1), "{comparison}");
+    // And nothing about a level that changes nowhere.
+    folder.write("empty.gltf", r#"{"asset": {"version": "2.0"}}"#);
+    folder.panorama("sky.exr", 16, None, |_| [1.0, 2.0, 3.0]);
+    let even =
+        ["empty.gltf", "--distant", "sky.exr", "--bounds=0,0,0,9,9,9", "--counts", "9,9,9", "--tolerance", "0.01"];
+    let report = folder.bake(&even);
+    assert_eq!((&report["nodes"], &report["sparse"]["places"]), (&1.into(), &729.into()));
+    for wrong in [&["--tolerance", "0"][..], &["--tolerance", "nan"], &["--tolerance", "0.1", "--nodes", "vertices"]] {
+        assert_eq!(folder.run(&[&["bake"], &PROBES[..], wrong].concat()).code, 2, "{wrong:?}");
+    }
+}
+
+#[test]
 fn plan_is_printed_and_nothing_is_written() {
     let folder = coloured_room();
     let before = folder.names();

@@ -40,6 +40,7 @@ fn independent_reader_finds_the_light_that_sample_prints() {
         ("grid L2 f16", &["--counts", "5,4,3"][..]),
         ("grid L1 f32", &["--counts", "3,3,4", "--sh", "L1", "--precision", "f32"]),
         ("grid, one layer", &["--counts", "3,1,2", "--sh", "L0"]),
+        ("sparse grid", &["--counts", "17,13,17", "--tolerance", "0.2"]),
         ("points L4", &["--nodes", "points:points.csv", "--sh", "L4"]),
         ("vertices", &["--nodes", "vertices", "--precision", "f32"]),
     ] {
@@ -82,10 +83,20 @@ fn independent_reader_finds_the_same_light_beside_walls() {
         folder.panorama(&format!("{name}.exr"), 16, Some(at), |d| [light, light * (1.0 + 0.3 * d.x as f32), 1.0]);
     }
     let probes = ["a.exr", "b.exr", "c.exr"].iter().flat_map(|name| ["--probes", *name]);
-    let arguments = ["room.glb", "--counts", "7,5,8", "--samples", "200", "--precision", "f32"];
-    folder.bake(&arguments.into_iter().chain(probes).collect::<Vec<_>>());
-    let walls = folder.inspect("room.gdibl")["statistics"]["walls"].clone();
-    assert!(walls["cells"].as_u64() > Some(20) && walls["planes"].as_u64() > Some(1), "{walls}");
+    for (kind, grid) in
+        [("grid", &["--counts", "7,5,8"][..]), ("sparse grid", &["--counts", "25,17,25", "--tolerance", "0.3"])]
+    {
+        let arguments = [&["room.glb", "--samples", "200", "--precision", "f32"], grid].concat();
+        folder.bake(&arguments.into_iter().chain(probes.clone()).collect::<Vec<_>>());
+        let report = folder.inspect("room.gdibl");
+        assert_eq!(report["kind"], kind);
+        let walls = &report["statistics"]["walls"];
+        assert!(walls["cells"].as_u64() > Some(20) && walls["planes"].as_u64() > Some(1), "{walls}");
+        compare_beside_walls(&folder);
+    }
+}
+
+fn compare_beside_walls(folder: &Folder) {
     let mut places: Vec<[f64; 6]> = Vec::new();
     for (i, n) in (0..40).flat_map(|i| normals().into_iter().map(move |n| (f64::from(i), n))) {
         let spread = |step: f64, low: f64, high: f64| low + (high - low) * (0.5 + i * step).fract();
@@ -93,7 +104,7 @@ fn independent_reader_finds_the_same_light_beside_walls() {
         places.push([0.3 + 0.015 * (i % 4.0), spread(0.671, -1.0, 2.0), spread(0.55, -3.0, 1.5), n.x, n.y, n.z]);
     }
     let ours = folder.irradiance("room.gdibl", &places);
-    let Some(theirs) = read_independently(&folder, "room.gdibl", &places) else { return };
+    let Some(theirs) = read_independently(folder, "room.gdibl", &places) else { return };
     let rms = (theirs.iter().flatten().map(|e| e * e).sum::<f64>() / (3 * theirs.len()) as f64).sqrt();
     for ((place, ours), theirs) in places.iter().zip(&ours).zip(&theirs) {
         for (ours, theirs) in ours.iter().zip(theirs) {

@@ -1,10 +1,11 @@
 //! What a bake does and what it leaves out, decided from the inputs before the first ray, with the reason.
 
-use crate::bake::{Baked, Nodes, Walls};
+use crate::bake::{Baked, Nodes, Walls, levels_of};
 use crate::radiance::RadianceFunction;
 use crate::radiance::exposure::ExposureMatch;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
+use crate::records::SparseRecord;
 use crate::scene::{Alpha, Role, Scene};
 
 /// One stage of the bake.
@@ -126,7 +127,7 @@ pub fn plan_path(scene: &Scene, path: &Path) -> Vec<PlanRow> {
 
 /// Walls between nodes, as far as is known: what was baked tells the rest.
 pub fn walls(nodes: &Nodes, scene: &Scene, baked: Option<&Baked>) -> PlanRow {
-    let between = matches!(nodes, Nodes::Grid(_)) && nodes.len() > 1;
+    let between = matches!(nodes, Nodes::Grid(_) | Nodes::Sparse(_)) && nodes.len() > 1;
     match baked.map(|baked| &baked.walls) {
         _ if !between => PlanRow::new("walls", false, "nothing is read between nodes"),
         _ if scene.meshes.iter().all(|mesh| mesh.triangles.is_empty()) => PlanRow::new("walls", false, "no triangle"),
@@ -134,6 +135,30 @@ pub fn walls(nodes: &Nodes, scene: &Scene, baked: Option<&Baked>) -> PlanRow {
         Some(None) => PlanRow::new("walls", false, "none stands between two nodes"),
         Some(Some(Walls { cells, planes, .. })) => {
             PlanRow::new("walls", true, format!("{} cells are cut by {} planes", cells.len(), planes.len()))
+        }
+    }
+}
+
+/// A sparse grid, as far as is known: what was baked tells the rest. `tolerance` is what was asked for.
+pub fn sparse(nodes: &Nodes, tolerance: Option<f64>, record: Option<&SparseRecord>) -> PlanRow {
+    let row = |kept, why: String| PlanRow::new("sparse", kept, why);
+    let percent = tolerance.unwrap_or_default() * 100.0;
+    match (nodes, tolerance, record) {
+        (Nodes::Points(_) | Nodes::Vertices { .. }, _, _) => row(false, "nothing is read between nodes".into()),
+        (_, None, _) => row(false, "no --tolerance is given: every place of the grid is a node".into()),
+        (Nodes::Grid(grid), Some(_), None) => match levels_of(grid) {
+            0 => row(false, "the grid is too small for coarser cells".into()),
+            levels => row(true, format!("cells up to {0} wide where light is even to {percent} %", 1 << levels)),
+        },
+        (Nodes::Grid(_), _, Some(record)) if nodes.len() == 1 => {
+            row(true, format!("light is the same all over to {percent} %: one node for {} places", record.places))
+        }
+        (Nodes::Grid(_), _, Some(_)) => {
+            row(false, format!("light is nowhere even to {percent} %: every place is a node"))
+        }
+        (Nodes::Sparse(_), _, _) => {
+            let places = record.map_or(0, |record| record.places);
+            row(true, format!("light is even to {percent} % between {} nodes of {places} places", nodes.len()))
         }
     }
 }

@@ -70,6 +70,8 @@ pub struct StatisticsRecord {
     pub standing: StandingRecord,
     /// What keeps light on its side of walls; `None` where no wall stands between nodes of a grid.
     pub walls: Option<WallsRecord>,
+    /// How sparse the grid is and how good; `None` where no tolerance was given, or the grid has no coarser cells.
+    pub sparse: Option<SparseRecord>,
     /// What de-ringing did; `None` where it was not asked for, or no node rings.
     pub deringing: Option<DeringingRecord>,
     /// The sun whose direct light was left out; `None` where that was not asked for, or no sun found.
@@ -89,6 +91,29 @@ pub struct StandingRecord {
     pub outside: u64,
     /// Stepped off a surface, or out of a solid: their light is that of the place beside.
     pub moved: u64,
+}
+
+/// A sparse grid.
+#[derive(Debug, Clone, PartialEq, Serialize, Encode, Decode)]
+pub struct SparseRecord {
+    /// Relative error of E between nodes at which cells were divided.
+    pub tolerance: f64,
+    /// Places of the fine grid: the nodes it would have without being sparse.
+    pub places: u64,
+    /// By size, the finest first.
+    pub levels: Vec<SparseLevel>,
+}
+
+/// The cells of one size.
+#[derive(Debug, Clone, PartialEq, Serialize, Encode, Decode)]
+pub struct SparseLevel {
+    /// How many there are.
+    pub cells: u64,
+    /// Middles of cells that were baked and are no nodes.
+    pub checked: u64,
+    /// What the volume answers there against what was baked: root mean square over normals and channels, over the larger of the
+    /// place's own and a tenth of the volume's median. Noise of both is in it. `None` where nothing was checked.
+    pub error: Option<ErrorSummary>,
 }
 
 /// Walls between nodes.

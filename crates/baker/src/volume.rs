@@ -6,7 +6,7 @@ use gdibl_runtime::{RadianceSh, Volume};
 use half::f16;
 use rayon::prelude::*;
 
-use crate::bake::{Baked, Nodes};
+use crate::bake::{Baked, Nodes, SparseGrid};
 use crate::deringing::{self, Rounding, Search};
 use crate::plan::PlanRow;
 use crate::records::{self, DeringingRecord, ErrorSummary, Records};
@@ -67,6 +67,7 @@ pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSe
     let count = nodes.len();
     let (kind, counts) = match nodes {
         Nodes::Grid(grid) => (Kind::Grid, grid.counts),
+        Nodes::Sparse(_) => (Kind::Sparse, [count as u32, 1, 1]),
         Nodes::Points(_) => (Kind::Points, [count as u32, 1, 1]),
         Nodes::Vertices { .. } => (Kind::Vertices, [count as u32, 1, 1]),
     };
@@ -79,11 +80,14 @@ pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSe
     if (0..count).any(|node| !baked.is_valid(node)) {
         sections.push((format::VALIDITY, (0..count).map(|node| u8::from(baked.is_valid(node))).collect()));
     }
+    if let Nodes::Sparse(sparse) = nodes {
+        sections.push((format::BRICKS, sparse.bricks.to_bytes()));
+    }
     if let Some(walls) = &baked.walls {
         sections.push((format::WALLS, walls_to_bytes(&walls.planes, &walls.cells)));
     }
     match nodes {
-        Nodes::Grid(_) => {}
+        Nodes::Grid(_) | Nodes::Sparse(_) => {}
         Nodes::Points(_) => sections.push((format::POSITIONS, positions(nodes, min))),
         Nodes::Vertices { normals, sets, .. } => {
             sections.push((format::POSITIONS, positions(nodes, min)));
@@ -228,7 +232,7 @@ fn f16_scale(values: &[f32]) -> f32 {
 
 fn bounds(nodes: &Nodes) -> ([f64; 3], [f64; 3]) {
     match nodes {
-        Nodes::Grid(grid) => (grid.min, grid.max),
+        Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }) => (grid.min, grid.max),
         Nodes::Points(positions) | Nodes::Vertices { positions, .. } => {
             let first = positions.first().copied().unwrap_or_default();
             let bounds = positions.iter().fold((first, first), |(min, max), &p| (min.min(p), max.max(p)));

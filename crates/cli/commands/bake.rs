@@ -10,8 +10,8 @@ use gdibl_baker::radiance::exposure::ExposureMatch;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::records::{
-    DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, StandingRecord, StatisticsRecord, SunRecord,
-    WallsRecord,
+    DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, SparseRecord, StandingRecord,
+    StatisticsRecord, SunRecord, WallsRecord,
 };
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::{PackSettings, Packed, Precision, pack, write_whole};
@@ -64,6 +64,7 @@ struct Report<'a> {
     coverage: f64,
     standing: StandingRecord,
     walls: Option<WallsRecord>,
+    sparse: Option<&'a SparseRecord>,
     deringing: Option<DeringingRecord>,
     sun: Option<SunRecord>,
     exposure: Option<&'a ExposureMatch>,
@@ -88,7 +89,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         Sun::Include => None,
         Sun::Extract => inputs.extract_sun()?.map(SunRecord::from),
     };
-    let nodes = nodes_of(&config, &inputs.scene)?;
+    let mut nodes = nodes_of(&config, &inputs.scene)?;
+    let tolerance = config.grid.tolerance;
     check_memory(&nodes, &settings, config.quality.max_memory)?;
     let captures = method == Method::Gdibl && !arguments.no_capture && inputs.lacks_probes();
     if !arguments.plan {
@@ -114,15 +116,15 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         None => None,
     });
 
-    let job = Job { nodes: &nodes, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
-    let walls = plan::walls(&nodes, &inputs.scene, None);
-    let (mut plan, baked) = match method {
+    let job = Job { nodes: &nodes, tolerance, settings: &settings, cancel: &cancel, quiet: arguments.quiet };
+    let between = vec![plan::sparse(&nodes, tolerance, None), plan::walls(&nodes, &inputs.scene, None)];
+    let (mut plan, found) = match method {
         Method::Gdibl => {
             let gdibl = gdibl_settings(&config.quality, inputs.captured, settings.directions(nodes.len() as u64));
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
             let plan = [plan, plan::plan(&inputs.scene, &function)].concat();
             if arguments.plan {
-                return print_plan([plan, vec![walls]].concat(), &config, arguments.json);
+                return print_plan([plan, between].concat(), &config, arguments.json);
             }
             (plan, job.bake(&function)?)
         }
@@ -130,18 +132,21 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let path = Path::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config.quality)?);
             let plan = [plan, plan::plan_path(&inputs.scene, &path)].concat();
             if arguments.plan {
-                return print_plan([plan, vec![walls]].concat(), &config, arguments.json);
+                return print_plan([plan, between].concat(), &config, arguments.json);
             }
             (plan, job.bake(&path)?)
         }
     };
+    let (sparse_nodes, baked, sparse) = found;
+    nodes = sparse_nodes.unwrap_or(nodes);
     inputs.findings.extend(clamped_light(&baked, &settings));
     inputs.findings.extend(dropped_walls(&baked));
+    plan.push(plan::sparse(&nodes, tolerance, sparse.as_ref()));
     plan.push(plan::walls(&nodes, &inputs.scene, Some(&baked)));
     let records = Records {
         settings: settings_record(&config, &settings, method),
         probes: probe_records(&inputs),
-        statistics: StatisticsRecord { sun, ..statistics(&baked, &inputs) },
+        statistics: StatisticsRecord { sun, sparse, ..statistics(&baked, &inputs) },
         plan,
     };
     let packing = PackSettings {
@@ -168,6 +173,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         coverage: records.statistics.coverage,
         standing: records.statistics.standing,
         walls: records.statistics.walls,
+        sparse: records.statistics.sparse.as_ref(),
         deringing: records.statistics.deringing,
         sun: records.statistics.sun,
         exposure: inputs.exposure.as_ref(),
@@ -198,19 +204,30 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 /// What the steps of a bake share.
 struct Job<'a> {
     nodes: &'a Nodes,
+    tolerance: Option<f64>,
     settings: &'a BakeSettings,
     cancel: &'a AtomicBool,
     quiet: bool,
 }
 
+/// Other nodes than were given, if the grid became sparse; what was baked at them, and how sparse it is.
+type Found = (Option<Nodes>, Baked, Option<SparseRecord>);
+
 impl Job<'_> {
-    fn bake(&self, function: &impl RadianceFunction) -> Result<Baked, Fault> {
+    fn bake(&self, function: &impl RadianceFunction) -> Result<Found, Fault> {
         let progress = Progress::new("nodes", self.nodes.len() as u64, self.quiet);
         let control = Control { cancel: self.cancel, progress: &|nodes, rays| progress.advance(nodes, rays) };
-        let baked = bake::bake(self.nodes, function, self.settings, &control).map_err(|_| Fault::Interrupted)?;
+        let found = match (self.nodes, self.tolerance) {
+            (Nodes::Grid(grid), Some(tolerance)) => {
+                bake::bake_sparse(grid, tolerance, function, self.settings, &control)
+                    .map(|(nodes, baked, record)| (Some(nodes), baked, record))
+            }
+            _ => bake::bake(self.nodes, function, self.settings, &control).map(|baked| (None, baked, None)),
+        };
+        let found = found.map_err(|_| Fault::Interrupted)?;
         progress.finish();
-        check_valid(&baked)?;
-        Ok(baked)
+        check_valid(&found.1)?;
+        Ok(found)
     }
 }
 
@@ -372,6 +389,7 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
             .walls
             .as_ref()
             .map(|walls| WallsRecord { cells: walls.cells.len() as u64, planes: walls.planes.len() as u64 }),
+        sparse: None,
         deringing: None,
         sun: None,
         findings: inputs.findings.clone(),
@@ -397,6 +415,13 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
         Nodes::Grid(grid) => {
             let [x, y, z] = grid.counts;
             format!("grid {x} x {y} x {z}")
+        }
+        Nodes::Sparse(sparse) => {
+            let [x, y, z] = sparse.grid.counts;
+            format!(
+                "sparse grid {x} x {y} x {z}, {:.1} %",
+                100.0 * report.nodes as f64 / sparse.grid.node_count() as f64
+            )
         }
         Nodes::Points(_) => "points".into(),
         Nodes::Vertices { sets, .. } => format!("vertices of {} meshes", sets.len()),
@@ -428,6 +453,9 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
             None => "  error     not measured: that takes at least two samples per node".into(),
         },
     ];
+    if let Some(sparse) = report.sparse {
+        lines.extend(super::sparse_lines(sparse).into_iter().map(|line| format!("  between   {line}")));
+    }
     if let Some(sun) = &report.sun {
         lines.push(format!("  sun       {}", super::sun_text(sun)));
     }

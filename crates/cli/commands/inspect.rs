@@ -66,8 +66,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         bytes: bytes.len(),
         version: format::VERSION,
         kind: kind_name(header.kind),
-        grid: (header.kind == Kind::Grid)
-            .then(|| GridReport { counts: header.counts, spacing: header.grid().spacing() }),
+        grid: volume.grid().map(|grid| GridReport { counts: grid.counts, spacing: grid.spacing() }),
         min: header.min,
         max: header.max,
         sh: format!("L{}", header.bands),
@@ -87,6 +86,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 fn kind_name(kind: Kind) -> &'static str {
     match kind {
         Kind::Grid => "grid",
+        Kind::Sparse => "sparse grid",
         Kind::Points => "points",
         Kind::Vertices => "vertices",
     }
@@ -114,6 +114,9 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
     row("valid", format!("{} of {} nodes", volume.nodes_valid, volume.nodes));
     if let Some(statistics) = &report.statistics {
         row("standing", super::standing_text(&statistics.standing, statistics.walls.as_ref()));
+    }
+    if let Some(sparse) = report.statistics.as_ref().and_then(|statistics| statistics.sparse.as_ref()) {
+        super::sparse_lines(sparse).into_iter().for_each(|line| row("between", line));
     }
     for (name, range) in ["red", "green", "blue"].iter().zip(&volume.irradiance) {
         row(name, format!("mean irradiance {:.4} to {:.4}, mean {:.4}", range.min, range.max, range.mean));
@@ -192,7 +195,11 @@ fn kind_text(report: &Report, header: &Header) -> String {
         Some(grid) => {
             let [x, y, z] = grid.counts;
             let [sx, sy, sz] = grid.spacing;
-            format!("grid of {x} x {y} x {z} nodes, {sx:.3} x {sy:.3} x {sz:.3} m apart")
+            let nodes = match header.kind {
+                Kind::Sparse => format!("{} nodes of {x} x {y} x {z} places", header.counts[0]),
+                _ => format!("{x} x {y} x {z} nodes"),
+            };
+            format!("{} of {nodes}, {sx:.3} x {sy:.3} x {sz:.3} m apart", report.kind)
         }
         None => format!("{} ({})", report.kind, header.counts[0]),
     }

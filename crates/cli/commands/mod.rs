@@ -10,7 +10,9 @@ pub mod render;
 pub mod sample;
 pub mod study;
 
-use gdibl_baker::records::{DeringingRecord, Record, StandingRecord, SunRecord, WallsRecord, decode};
+use gdibl_baker::records::{
+    DeringingRecord, Record, SparseLevel, SparseRecord, StandingRecord, SunRecord, WallsRecord, decode,
+};
 use gdibl_runtime::format::{Directory, Limits};
 use serde::Serialize;
 use std::io::Write;
@@ -76,6 +78,19 @@ fn standing_text(standing: &StandingRecord, walls: Option<&WallsRecord>) -> Stri
         None => "no wall between nodes".into(),
     };
     format!("{solid} in solids, {outside} outside, {uncovered} that no probe covers; {moved} stepped aside; {walls}")
+}
+
+/// The cells of a sparse grid, and how right light is between nodes, in words.
+fn sparse_lines(sparse: &SparseRecord) -> Vec<String> {
+    let rows = sparse.levels.iter().enumerate().filter(|(_, level)| level.cells > 0 || level.checked > 0);
+    let text = |(level, row): (usize, &SparseLevel)| {
+        let error = row.error.map_or("not checked".into(), |error| {
+            let [median, p95] = [error.median, error.p95].map(|e| e * 100.0);
+            format!("off by {median:.2} % median, {p95:.2} % 95th percentile in {} middles", row.checked)
+        });
+        format!("{} cells {} wide, {error}", row.cells, 1 << level)
+    };
+    rows.map(text).collect()
 }
 
 /// The sun that an engine adds, in words.

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use gdibl_baker::analyse::Truth;
 use gdibl_baker::analyse::study::{Study, StudySettings};
-use gdibl_baker::bake::{BakeSettings, Nodes};
+use gdibl_baker::bake::{BakeSettings, Nodes, SparseGrid};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::volume::write_whole;
 use glam::DVec3;
@@ -329,7 +329,10 @@ fn choose_nodes(
     inputs: &Inputs,
     given: Option<&Given>,
 ) -> Result<(Nodes, String), Fault> {
-    let GridFlags { nodes, bounds, spacing, counts } = &arguments.grid;
+    let GridFlags { nodes, bounds, spacing, counts, tolerance } = &arguments.grid;
+    if tolerance.is_some() {
+        return Err(Fault::Usage("--tolerance: a study bakes every place of a grid".into()));
+    }
     let said = nodes.is_some() || bounds.is_some() || spacing.is_some() || counts.is_some();
     if let Some(given) = given.filter(|given| given.listed && !said) {
         let positions = given.truths.iter().flat_map(|truth| &truth.positions).map(|p| DVec3::from(*p));
@@ -339,7 +342,7 @@ fn choose_nodes(
     }
     let nodes = nodes_of(config, &inputs.scene)?;
     let text = match &nodes {
-        Nodes::Grid(grid) => {
+        Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }) => {
             let [x, y, z] = grid.counts;
             format!("grid of {x} × {y} × {z} nodes")
         }

@@ -33,7 +33,7 @@ struct Document {
 }
 
 pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Error> {
-    if volume.header().kind == Kind::Grid {
+    if volume.grid().is_some() {
         grid(volume, settings)
     } else if settings.counts.is_some() {
         Err(Error::Settings("--counts: a volume of points or vertices is written as it is".into()))

@@ -42,17 +42,15 @@ pub(crate) enum Least {
 impl Light {
     /// The light of a grid volume.
     pub fn of_volume(volume: &Volume, counts: Option<[u32; 3]>, least: Least) -> Result<Light, Error> {
-        let header = volume.header();
-        if header.kind != Kind::Grid {
+        let Some(own) = volume.grid() else {
             return Err(Error::Unsupported(format!(
                 "holds {} at {} places, and this format a grid: bake with --nodes grid, or export --to json",
-                if header.kind == Kind::Points { "points" } else { "vertices" },
+                if volume.header().kind == Kind::Points { "points" } else { "vertices" },
                 volume.node_count()
             )));
-        }
-        let own = header.grid();
+        };
         let (grid, mut notes) = target_grid(own, counts, least)?;
-        let same = grid == own;
+        let same = grid == own && volume.bricks().is_none();
         let (mut nodes, mut validity) = (Vec::new(), Vec::new());
         for index in 0..grid.node_count() {
             if same {
@@ -64,7 +62,10 @@ impl Light {
                 validity.push(sample.validity);
             }
         }
-        if counts.is_some_and(|counts| counts != own.counts) {
+        if volume.bricks().is_some() {
+            let (nodes, to) = (volume.node_count(), text(grid.counts));
+            notes.push(Note::new("resampled", format!("{nodes} nodes of a sparse grid were sampled at {to} places")));
+        } else if counts.is_some_and(|counts| counts != own.counts) {
             let (from, to) = (text(own.counts), text(grid.counts));
             notes.push(Note::new("resampled", format!("{from} nodes were sampled at {to} places")));
         }

@@ -64,6 +64,8 @@ typedef enum {
   GDIBL_KIND_POINTS = 1,
   // Mesh vertices; the nearest one answers, among those at one place the one whose normal fits best.
   GDIBL_KIND_VERTICES = 2,
+  // Some places of a fine grid, fewer where light is even; interpolated as in a grid.
+  GDIBL_KIND_SPARSE = 3,
 } GdiblKind;
 
 // A parsed file. Only ever behind a pointer that gdibl_parse made.
@@ -73,8 +75,8 @@ typedef struct GdiblVolume GdiblVolume;
 typedef struct {
   // What the nodes are.
   GdiblKind kind;
-  // Grid: nodes per axis, the first on min and the last on max; x runs fastest, then y, then z. Points and vertices:
-  // how many, 1, 1.
+  // Grid: nodes per axis, the first on min and the last on max; x runs fastest, then y, then z. Otherwise: how
+  // many, 1, 1.
   uint32_t counts[3];
   // The highest band of spherical harmonics, 0 to 4: (bands + 1)^2 coefficients.
   uint32_t bands;

@@ -64,6 +64,8 @@ pub enum GdiblKind {
     Points = 1,
     /// Mesh vertices; the nearest one answers, among those at one place the one whose normal fits best.
     Vertices = 2,
+    /// Some places of a fine grid, fewer where light is even; interpolated as in a grid.
+    Sparse = 3,
 }
 
 /// The fixed part of a file.
@@ -72,8 +74,8 @@ pub enum GdiblKind {
 pub struct GdiblHeader {
     /// What the nodes are.
     pub kind: GdiblKind,
-    /// Grid: nodes per axis, the first on min and the last on max; x runs fastest, then y, then z. Points and vertices:
-    /// how many, 1, 1.
+    /// Grid: nodes per axis, the first on min and the last on max; x runs fastest, then y, then z. Otherwise: how
+    /// many, 1, 1.
     pub counts: [u32; 3],
     /// The highest band of spherical harmonics, 0 to 4: (bands + 1)^2 coefficients.
     pub bands: u32,
@@ -175,6 +177,7 @@ pub unsafe extern "C" fn gdibl_header(volume: *const GdiblVolume, header: *mut G
                 Kind::Grid => GdiblKind::Grid,
                 Kind::Points => GdiblKind::Points,
                 Kind::Vertices => GdiblKind::Vertices,
+                Kind::Sparse => GdiblKind::Sparse,
             },
             counts: found.counts,
             bands: found.bands,

@@ -52,8 +52,10 @@ pub const POSITIONS: [u8; 4] = *b"POSN";
 pub const NORMALS: [u8; 4] = *b"NORM";
 /// Which vertices belong to which mesh: records of five u32. Vertices only; may be absent.
 pub const MESHES: [u8; 4] = *b"MESH";
-/// Walls between nodes, see [`crate::walls`]. Grids only; may be absent.
+/// Walls between nodes, see [`crate::walls`]. Grids, sparse or not; may be absent.
 pub const WALLS: [u8; 4] = *b"WALL";
+/// Which places of a fine grid are nodes, see [`crate::bricks`]. Sparse grids only.
+pub const BRICKS: [u8; 4] = *b"BRIK";
 /// A record: the settings of the bake. The runtime skips it.
 pub const SETTINGS: [u8; 4] = *b"SETT";
 /// A record: the stages kept and left out. The runtime skips it.
@@ -73,6 +75,8 @@ pub enum Kind {
     Points = 1,
     /// Mesh vertices, with normals.
     Vertices = 2,
+    /// Some places of a fine grid, fewer where light is even: see [`crate::bricks`].
+    Sparse = 3,
 }
 
 /// How a coefficient is stored.
@@ -135,7 +139,7 @@ impl Default for Limits {
 pub struct Header {
     /// What the nodes are.
     pub kind: Kind,
-    /// Grid: nodes per axis. Points and vertices: how many, 1, 1.
+    /// Grid: nodes per axis. Otherwise: how many, 1, 1.
     pub counts: [u32; 3],
     /// The highest SH band, 0..=4.
     pub bands: u32,
@@ -157,7 +161,7 @@ impl Header {
         self.grid().node_count()
     }
 
-    /// Box and counts as a grid.
+    /// Box and counts as a grid. Of [`Kind::Sparse`] see [`Volume::grid`](crate::Volume::grid).
     pub fn grid(&self) -> Grid {
         Grid { min: self.min, max: self.max, counts: self.counts }
     }
@@ -233,7 +237,8 @@ impl Header {
             0 => Kind::Grid,
             1 => Kind::Points,
             2 => Kind::Vertices,
-            other => return Err(unknown("byte 12: kind", other, "0, 1 or 2")),
+            3 => Kind::Sparse,
+            other => return Err(unknown("byte 12: kind", other, "0 to 3")),
         };
         let encoding = match word(32) {
             0 => Encoding::F32,
@@ -280,7 +285,7 @@ impl Header {
             return Err(Error::invalid(place, found(), "at least one node"));
         }
         if self.kind != Kind::Grid && self.counts[1..] != [1, 1] {
-            return Err(Error::invalid(place, found(), "[n, 1, 1] for points and vertices"));
+            return Err(Error::invalid(place, found(), "[n, 1, 1] unless this is a grid"));
         }
         // The last factor fits in 64 bits with the product of the first two in 64: so 128 hold all three.
         let product = self.counts.iter().map(|&count| u128::from(count)).product::<u128>();

@@ -7,6 +7,8 @@
 //! ```
 //! The index of node (x, y, z) is `x + counts[0] * (y + counts[1] * z)`: x runs fastest, then y, then z.
 
+use core::array;
+
 /// The nodes of a volume, on a regular grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
@@ -38,7 +40,7 @@ impl Grid {
 
     /// The distance between neighbouring nodes on each axis, metres; 0 where an axis has one node.
     pub fn spacing(&self) -> [f64; 3] {
-        core::array::from_fn(|axis| match self.counts[axis] {
+        array::from_fn(|axis| match self.counts[axis] {
             0 | 1 => 0.0,
             count => (self.max[axis] - self.min[axis]) / f64::from(count - 1),
         })
@@ -51,14 +53,29 @@ impl Grid {
     pub fn node_position(&self, index: usize) -> [f64; 3] {
         let count = self.node_count();
         assert!(index < count, "node {index} of {count}");
-        let [nx, ny, _] = self.counts.map(|count| count as usize);
-        let place = [index % nx, index / nx % ny, index / nx / ny];
-        core::array::from_fn(|axis| {
+        self.place_position(self.place_of(index as u32))
+    }
+
+    /// Node (x, y, z) of an index.
+    pub fn place_of(&self, index: u32) -> [u32; 3] {
+        let [nx, ny, _] = self.counts;
+        [index % nx, index / nx % ny, index / nx / ny]
+    }
+
+    /// The index of node (x, y, z).
+    pub fn index_of(&self, [x, y, z]: [u32; 3]) -> u32 {
+        let [nx, ny, _] = self.counts;
+        x.wrapping_add(nx.wrapping_mul(y.wrapping_add(ny.wrapping_mul(z))))
+    }
+
+    /// Where node (x, y, z) is, metres.
+    pub fn place_position(&self, place: [u32; 3]) -> [f64; 3] {
+        array::from_fn(|axis| {
             let (min, max) = (self.min[axis], self.max[axis]);
-            match self.counts[axis] as usize - 1 {
+            match self.counts[axis].max(1) - 1 {
                 0 => 0.5 * min + 0.5 * max,
                 last if place[axis] == last => max,
-                last => min + (max - min) * (place[axis] as f64 / last as f64),
+                last => min + (max - min) * (f64::from(place[axis]) / f64::from(last)),
             }
         })
     }
@@ -85,9 +102,7 @@ impl Grid {
         let [nx, ny, nz] = self.counts;
         let step = |count: u32, stride: u32| if count > 1 { stride } else { 0 };
         let steps = [step(nx, 1), step(ny, nx), step(nz, nx.wrapping_mul(ny))];
-        core::array::from_fn(|corner| {
-            lowest + (0..3).filter(|axis| corner >> axis & 1 == 1).map(|k| steps[k]).sum::<u32>()
-        })
+        array::from_fn(|corner| lowest + (0..3).filter(|axis| corner >> axis & 1 == 1).map(|k| steps[k]).sum::<u32>())
     }
 
     /// The box of that cell, metres; over all of the grid's box on an axis with one node.
@@ -96,8 +111,8 @@ impl Grid {
         let high = self.node_position(self.cell_nodes(lowest)[7] as usize);
         let is_flat = |axis: usize| self.counts[axis] <= 1;
         (
-            core::array::from_fn(|axis| if is_flat(axis) { self.min[axis] } else { low[axis] }),
-            core::array::from_fn(|axis| if is_flat(axis) { self.max[axis] } else { high[axis] }),
+            array::from_fn(|axis| if is_flat(axis) { self.min[axis] } else { low[axis] }),
+            array::from_fn(|axis| if is_flat(axis) { self.max[axis] } else { high[axis] }),
         )
     }
 
@@ -113,8 +128,19 @@ impl Grid {
     /// Nodes and weights of [`locate`](Grid::locate).
     #[inline(always)]
     pub(crate) fn corners(&self, position: [f64; 3]) -> ([u32; 8], [f32; 8]) {
+        let (lower, share) = self.cell_at(position);
+        let index = |corner: usize| {
+            self.index_of(array::from_fn(|axis| {
+                lower[axis] + (corner as u32 >> axis & u32::from(self.counts[axis] > 1))
+            }))
+        };
+        (array::from_fn(index), trilinear(share))
+    }
+
+    /// The cell that holds a position, by its lowest node, and where in it the position is: 0 to 1 per axis.
+    #[inline(always)]
+    pub(crate) fn cell_at(&self, position: [f64; 3]) -> ([u32; 3], [f32; 3]) {
         let mut lower = [0; 3];
-        let mut higher = [0; 3];
         let mut share = [0.0; 3];
         for axis in 0..3 {
             let last = self.counts[axis].max(1) - 1;
@@ -127,23 +153,21 @@ impl Grid {
             // `max` and `min` of a NaN give the other operand.
             place = place.max(0.0).min(f64::from(last));
             lower[axis] = (place as u32).min(last - 1);
-            higher[axis] = lower[axis] + 1;
             share[axis] = (place - f64::from(lower[axis])) as f32;
         }
-        let [nx, ny, _] = self.counts;
-        let index = |corner: usize| {
-            let [x, y, z]: [u32; 3] =
-                core::array::from_fn(|axis| if corner >> axis & 1 == 1 { higher[axis] } else { lower[axis] });
-            x.wrapping_add(nx.wrapping_mul(y.wrapping_add(ny.wrapping_mul(z))))
-        };
-        let weight = |corner: usize| {
-            let along = |axis: usize| {
-                if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] }
-            };
-            along(0) * along(1) * along(2)
-        };
-        (core::array::from_fn(index), core::array::from_fn(weight))
+        (lower, share)
     }
+}
+
+/// Weights of a cell's corners at a place in it, 0 to 1 per axis.
+#[inline(always)]
+pub(crate) fn trilinear(share: [f32; 3]) -> [f32; 8] {
+    array::from_fn(|corner| {
+        let along = |axis: usize| {
+            if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] }
+        };
+        along(0) * along(1) * along(2)
+    })
 }
 
 /// Whether a position is in a box, its faces included, give or take a millionth of its size and the rounding of a

@@ -35,8 +35,9 @@
 //! |---|---|
 //! | [`sh`] | the basis functions, radiance and irradiance in it |
 //! | [`grid`] | where the nodes of a grid are, and which eight surround a position |
+//! | [`bricks`] | which nodes a sparse grid has, and which eight surround a position |
 //! | [`volume`] | a parsed file: coefficients per node, validity, positions |
-//! | [`sample`] | light at a position: trilinear in a grid, nearest in points and vertices |
+//! | [`sample`] | light at a position: trilinear in grids, nearest in points and vertices |
 //! | [`walls`] | what keeps light on its side of walls between the nodes of a grid |
 //! | [`nearest`] | the nearest of many positions |
 //! | [`gpu`] | a grid as the buffers that the shaders in `shaders/` sample |
@@ -53,6 +54,7 @@ extern crate alloc;
 #[cfg(any(feature = "std", test))]
 extern crate std;
 
+pub mod bricks;
 mod codec;
 mod crc32;
 mod error;

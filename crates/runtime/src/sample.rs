@@ -6,18 +6,21 @@
 //! along the normal: see [`walls`](crate::walls). Outside the box the answer is that of the nearest position in it, and
 //! [`Sample::inside`] is false: a caller with several volumes, or with a fallback, looks there.
 //!
+//! **Sparse grid**: the same in cells of several sizes, see [`bricks`](crate::bricks).
+//!
 //! **Points**: the nearest one. **Vertices**: the nearest one; among those within [`NORMAL_TIE`] of it, the one whose
 //! normal matches best (the corners of a box share places, and face three ways). Valid or not: asked at the same
 //! places, a volume answers what was baked there.
 //!
 //! Every input has an answer: a coordinate that is no number counts as the box's min.
 
+use crate::bricks::Bricks;
 use crate::grid::box_contains;
 use crate::half::plain_f16_to_scaled_f32;
 use crate::math::square_root;
 use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
 use crate::volume::{Coefficients, SUBNORMAL, VALID, WALLED};
-use crate::{Kind, RadianceSh, Volume};
+use crate::{Grid, Kind, RadianceSh, Volume};
 use alloc::vec::Vec;
 use core::array;
 
@@ -49,8 +52,8 @@ impl Volume {
     /// The same for levels far from the origin, where an f32 is too coarse for a position.
     pub fn sample_f64(&self, position: [f64; 3], normal: [f32; 3]) -> Sample {
         match self.header.kind {
-            Kind::Grid => {
-                let (nodes, weights, validity) = self.grid_weights(position, normal);
+            Kind::Grid | Kind::Sparse => {
+                let (nodes, weights, validity) = self.weights(position, normal);
                 let mut sh = RadianceSh::zero(self.header.bands);
                 self.blended(&nodes, &weights, |_, radiance| {
                     sh.coefficients.as_flattened_mut()[..radiance.len()].copy_from_slice(radiance);
@@ -79,8 +82,8 @@ impl Volume {
     /// The same for levels far from the origin.
     pub fn irradiance_f64(&self, position: [f64; 3], normal: [f32; 3]) -> [f32; 3] {
         match self.header.kind {
-            Kind::Grid => {
-                let (nodes, weights, _) = self.grid_weights(position, normal);
+            Kind::Grid | Kind::Sparse => {
+                let (nodes, weights, _) = self.weights(position, normal);
                 self.blended(&nodes, &weights, |bands, radiance| irradiance(bands, radiance, normal))
             }
             Kind::Points | Kind::Vertices => self.sample_f64(position, normal).sh.convolve().evaluate(normal),
@@ -90,30 +93,57 @@ impl Volume {
     /// The point or vertex that [`sample_f64`](Volume::sample_f64) answers with, however far it is; None in a grid, which
     /// answers between its nodes.
     pub fn nearest_node(&self, position: [f64; 3], normal: [f32; 3]) -> Option<usize> {
-        (self.header.kind != Kind::Grid).then(|| self.nearest(position, normal))
+        matches!(self.header.kind, Kind::Points | Kind::Vertices).then(|| self.nearest(position, normal))
     }
 
     /// The nodes around a position, their weights, which add up to 1, and the share of valid nodes in them.
     #[inline(always)]
-    fn grid_weights(&self, mut position: [f64; 3], normal: [f32; 3]) -> ([u32; 8], [f32; 8], f32) {
+    fn weights(&self, mut position: [f64; 3], normal: [f32; 3]) -> ([u32; 8], [f32; 8], f32) {
         if let Some(walls) = &self.walls {
             position = walls.off_surface(position, normal);
+        }
+        if let Some(bricks) = &self.bricks {
+            return self.sparse_weights(bricks, position);
         }
         let (nodes, mut weights) = self.header.grid().corners(position);
         let mut validity = 1.0;
         if let Some(marks) = &self.marks {
-            validity = self.mark_weights(marks, position, &nodes, &mut weights);
+            let wall_cell = (marks[nodes[0] as usize] & WALLED != 0).then_some(nodes[0]);
+            validity = self.mark_weights(marks, position, &nodes, &mut weights, wall_cell);
         }
         (nodes, weights, validity)
     }
 
-    /// Changes the weights to those of valid nodes, that are seen where there are walls; returns the share of valid ones.
+    /// The same in a sparse grid.
+    #[inline(never)]
+    fn sparse_weights(&self, bricks: &Bricks, position: [f64; 3]) -> ([u32; 8], [f32; 8], f32) {
+        let grid = Grid { counts: bricks.counts(), ..self.header.grid() };
+        let (nodes, mut weights, leaf) = bricks.locate(&grid, position);
+        let mut validity = 1.0;
+        if self.marks.is_some() || self.walls.is_some() {
+            let marks = self.marks.as_deref().unwrap_or_default();
+            let cell = self.walls.is_some().then(|| grid.index_of(leaf.origin));
+            validity = self.mark_weights(marks, position, &nodes, &mut weights, cell);
+        }
+        (nodes, weights, validity)
+    }
+
+    /// Changes the weights to those of valid nodes, that are seen where there are walls in the cell; returns the share of valid
+    /// ones. No marks: all are valid.
     #[inline]
-    fn mark_weights(&self, marks: &[u8], position: [f64; 3], nodes: &[u32; 8], weights: &mut [f32; 8]) -> f32 {
-        let valid: [f32; 8] = array::from_fn(|k| weights[k] * f32::from(marks[nodes[k] as usize] & VALID));
+    fn mark_weights(
+        &self,
+        marks: &[u8],
+        position: [f64; 3],
+        nodes: &[u32; 8],
+        weights: &mut [f32; 8],
+        wall_cell: Option<u32>,
+    ) -> f32 {
+        let is_valid = |node: u32| marks.get(node as usize).map_or(1.0, |mark| f32::from(mark & VALID));
+        let valid: [f32; 8] = array::from_fn(|k| weights[k] * is_valid(nodes[k]));
         let validity = valid.iter().sum::<f32>().min(1.0);
-        if marks[nodes[0] as usize] & WALLED != 0 {
-            let seen = self.seen_weights(nodes, weights, &valid, position);
+        if let Some(cell) = wall_cell {
+            let seen = self.seen_weights(cell, weights, &valid, position);
             if let Some(seen) = seen {
                 *weights = seen;
                 return validity;
@@ -130,16 +160,10 @@ impl Volume {
     /// The weights of the nodes that are seen from a position in a cell with walls, which add up to 1; None where there is
     /// none.
     #[inline(never)]
-    fn seen_weights(
-        &self,
-        nodes: &[u32; 8],
-        weights: &[f32; 8],
-        valid: &[f32; 8],
-        position: [f64; 3],
-    ) -> Option<[f32; 8]> {
+    fn seen_weights(&self, cell: u32, weights: &[f32; 8], valid: &[f32; 8], position: [f64; 3]) -> Option<[f32; 8]> {
         let (min, max) = (self.header.min, self.header.max);
         let place = array::from_fn(|k| position[k].max(min[k]).min(max[k]) - min[k]);
-        let shares = self.walls.as_ref()?.shares(nodes[0], place, weights);
+        let shares = self.walls.as_ref()?.shares(cell, place, weights);
         let seen: [f32; 8] = array::from_fn(|k| valid[k] * shares[k]);
         let sum = seen.iter().sum::<f32>();
         (sum >= LEAST_VALID).then(|| seen.map(|weight| weight / sum))

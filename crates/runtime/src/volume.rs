@@ -4,14 +4,15 @@
 //! sample wants all values of few nodes, so that parsing turns the planes round: here every node's values lie
 //! together, coefficient by coefficient, red green blue. They stay 16-bit where the file's are.
 
+use crate::bricks::Bricks;
 use crate::format::{
-    self, COVERAGE, Directory, Encoding, Header, Kind, Limits, MESHES, NORMALS, POSITIONS, RADIANCE, STANDARD_ERROR,
-    VALIDITY, WALLS,
+    self, BRICKS, COVERAGE, Directory, Encoding, Header, Kind, Limits, MESHES, NORMALS, POSITIONS, RADIANCE,
+    STANDARD_ERROR, VALIDITY, WALLS,
 };
 use crate::half::{f16_is_finite, f16_is_subnormal, f16_to_f32};
 use crate::nearest::NearestIndex;
 use crate::walls::Walls;
-use crate::{Error, RadianceSh};
+use crate::{Cell, Error, Grid, RadianceSh};
 use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -25,6 +26,8 @@ pub struct Volume {
     /// [`VALID`] and [`SUBNORMAL`] of each node; None where all are valid and none is subnormal.
     pub(crate) marks: Option<Vec<u8>>,
     pub(crate) walls: Option<Walls>,
+    /// Of a sparse grid.
+    pub(crate) bricks: Option<Bricks>,
     coverage: Option<Vec<u16>>,
     relative_error: Option<Vec<u16>>,
     /// Points and vertices; relative to the header's min.
@@ -40,7 +43,7 @@ pub(crate) const VALID: u8 = 1;
 /// A node's mark: some of its numbers are subnormal f16, too small for the fast way to decode them. Rare: a writer's scale
 /// brings the largest numbers near f16's largest, and 10⁹ lies between that and these.
 pub(crate) const SUBNORMAL: u8 = 2;
-/// A node's mark: walls go through the cell of which it is the lowest corner.
+/// A node's mark: walls go through the cell of which it is the lowest corner. Not in a sparse grid, where that may be no node.
 pub(crate) const WALLED: u8 = 4;
 
 /// Node by node, `Header::values_per_node` each; one zero at the end, so that a row of an odd number of values can be read
@@ -80,9 +83,10 @@ impl Volume {
         let sections = Sections { directory };
         sections.check_kind()?;
         let coefficients = sections.coefficients()?;
-        let walls = sections.walls()?;
+        let bricks = sections.bricks()?;
+        let walls = sections.walls(bricks.as_ref())?;
         let mut marks = marks(sections.validity()?, &coefficients, &header);
-        for cell in walls.iter().flat_map(Walls::cells) {
+        for cell in walls.iter().filter(|_| bricks.is_none()).flat_map(Walls::cells) {
             marks.get_or_insert_with(|| vec![VALID; header.node_count()])[cell as usize] |= WALLED;
         }
         let positions = sections.vectors(POSITIONS)?;
@@ -91,6 +95,7 @@ impl Volume {
             coefficients,
             marks,
             walls,
+            bricks,
             coverage: sections.fractions(COVERAGE, 1.0)?,
             relative_error: sections.fractions(STANDARD_ERROR, f32::MAX)?,
             index: NearestIndex::build(&positions),
@@ -154,15 +159,42 @@ impl Volume {
         self.relative_error.as_ref().map(|all| f16_to_f32(all[node]))
     }
 
+    /// The grid between whose nodes light is read; of a sparse one the finest, of which some places are no nodes. None for points and
+    /// vertices.
+    pub fn grid(&self) -> Option<Grid> {
+        let Header { kind, min, max, .. } = self.header;
+        match (kind, &self.bricks) {
+            (Kind::Grid, _) => Some(self.header.grid()),
+            (Kind::Sparse, Some(bricks)) => Some(Grid { min, max, counts: bricks.counts() }),
+            _ => None,
+        }
+    }
+
+    /// Which places of [`grid`](Volume::grid) are nodes, in a sparse grid; None where all are.
+    pub fn bricks(&self) -> Option<&Bricks> {
+        self.bricks.as_ref()
+    }
+
+    /// The nodes around a position and their weights, all of them valid and no wall in between; None for points and vertices.
+    pub fn cell(&self, position: [f64; 3]) -> Option<Cell> {
+        let grid = self.grid()?;
+        Some(match &self.bricks {
+            None => grid.locate(position),
+            Some(bricks) => bricks.cell(&grid, position),
+        })
+    }
+
     /// Where node `node` is, metres.
     pub fn node_position(&self, node: usize) -> [f64; 3] {
         self.check_node(node);
-        match self.header.kind {
-            Kind::Grid => self.header.grid().node_position(node),
-            Kind::Points | Kind::Vertices => {
-                core::array::from_fn(|axis| self.header.min[axis] + f64::from(self.positions[node][axis]))
-            }
+        if let Some(grid) = self.grid() {
+            let place = match &self.bricks {
+                None => grid.place_of(node as u32),
+                Some(bricks) => bricks.place_of(node),
+            };
+            return grid.place_position(place);
         }
+        core::array::from_fn(|axis| self.header.min[axis] + f64::from(self.positions[node][axis]))
     }
 
     /// The normal of vertex `node`, unit length; None for grids and points, which have none.
@@ -201,7 +233,8 @@ impl Sections<'_> {
     /// Checks that the sections there are fit the kind of volume.
     fn check_kind(&self) -> Result<(), Error> {
         let kind = self.directory.header.kind;
-        let placed = kind != Kind::Grid;
+        let placed = matches!(kind, Kind::Points | Kind::Vertices);
+        let sparse = kind == Kind::Sparse;
         let vertices = kind == Kind::Vertices;
         for (id, allowed, required) in [
             (RADIANCE, true, true),
@@ -209,6 +242,7 @@ impl Sections<'_> {
             (NORMALS, vertices, vertices),
             (MESHES, vertices, false),
             (WALLS, !placed, false),
+            (BRICKS, sparse, sparse),
         ] {
             let present = self.directory.section(id).is_some();
             let (found, expected) = match (present, allowed) {
@@ -262,11 +296,20 @@ impl Sections<'_> {
         Ok(Some(bytes.into_owned()))
     }
 
-    fn walls(&self) -> Result<Option<Walls>, Error> {
+    fn bricks(&self) -> Result<Option<Bricks>, Error> {
+        let Some(bytes) = self.directory.checked_section_bytes(BRICKS)? else {
+            return Ok(None);
+        };
+        Bricks::parse(&bytes, self.directory.header.node_count()).map(Some)
+    }
+
+    fn walls(&self, bricks: Option<&Bricks>) -> Result<Option<Walls>, Error> {
         let Some(bytes) = self.directory.checked_section_bytes(WALLS)? else {
             return Ok(None);
         };
-        Walls::parse(&bytes, &self.directory.header).map(Some)
+        let grid = self.directory.header.grid();
+        let grid = bricks.map_or(grid, |bricks| Grid { counts: bricks.counts(), ..grid });
+        Walls::parse(&bytes, &grid, bricks).map(Some)
     }
 
     /// 16-bit floats from 0 to `max`.

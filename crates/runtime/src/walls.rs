@@ -3,7 +3,7 @@
 //! Up to three planes cut a cell into parts, and each part has a mask of the corners that are seen from there. Cells without
 //! a record have no wall in them. All of a file's planes are in one table, for a wall goes through many cells.
 
-use crate::format::Header;
+use crate::bricks::Bricks;
 use crate::{Error, Grid};
 use alloc::format;
 use alloc::vec;
@@ -28,7 +28,7 @@ pub struct Plane {
 /// A cell that walls go through.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WallCell {
-    /// Index of the cell's lowest node.
+    /// Index of the cell's lowest node; in a sparse grid, of its lowest place in the grid.
     pub cell: u32,
     /// Indices of planes; [`WallCell::NO_PLANE`] after the last one.
     pub planes: [u16; MOST_PLANES],
@@ -80,8 +80,8 @@ pub(crate) struct Walls {
 }
 
 impl Walls {
-    /// Reads section `WALL`.
-    pub fn parse(bytes: &[u8], header: &Header) -> Result<Walls, Error> {
+    /// Reads section `WALL` of a grid, or of a sparse one in it.
+    pub fn parse(bytes: &[u8], grid: &Grid, bricks: Option<&Bricks>) -> Result<Walls, Error> {
         let place = "section WALL";
         let word = |at: usize| u32::from_le_bytes(array::from_fn(|k| bytes[at + k]));
         let (plane_count, cell_count) = match bytes.len() {
@@ -101,11 +101,14 @@ impl Walls {
         if let Some(number) = planes.iter().position(|plane| !is_finite(plane)) {
             return Err(Error::invalid(format!("{place}, plane {number}"), "infinity or NaN", "finite numbers"));
         }
-        let grid = header.grid();
+        let is_cell = |cell: u32| {
+            let place = grid.place_of(cell);
+            grid.is_cell(cell) && bricks.is_none_or(|bricks| bricks.leaf(place).origin == place)
+        };
         let mut next = 0u64;
         for (number, (cell, cell_bytes)) in cells.iter().zip(records).enumerate() {
             let place = || format!("{place}, record {number}");
-            if u64::from(cell.cell) < next || !grid.is_cell(cell.cell) {
+            if u64::from(cell.cell) < next || !is_cell(cell.cell) {
                 return Err(Error::invalid(place(), format!("cell {}", cell.cell), "a cell after the one before"));
             }
             next = u64::from(cell.cell) + 1;
@@ -120,13 +123,13 @@ impl Walls {
                 return Err(Error::invalid(place(), format!("planes {:?}", cell.planes), expected));
             }
         }
-        let blocks = header.node_count() / BLOCK + 1;
+        let blocks = grid.node_count() / BLOCK + 1;
         let mut first = vec![0; blocks + 1];
         for cell in &cells {
             first[cell.cell as usize / BLOCK + 1] += 1;
         }
         (0..blocks).for_each(|block| first[block + 1] += first[block]);
-        Ok(Walls { planes, cells, first, bias: bias(&grid) })
+        Ok(Walls { planes, cells, first, bias: bias(grid) })
     }
 
     /// Cells that have a record.

@@ -12,11 +12,12 @@ fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/golden").join(name)
 }
 
-fn files() -> [(&'static str, File); 4] {
+fn files() -> [(&'static str, File); 5] {
     [
         ("v1_grid_f16.gdibl", small_grid()),
         ("v1_points_f32.gdibl", small_points()),
         ("v1_vertices_f16.gdibl", small_vertices()),
+        ("v1_sparse_f16.gdibl", small_sparse()),
         ("v1_points_f32_deringed.gdibl", File { units: 1, ..small_points() }),
     ]
 }
@@ -50,6 +51,19 @@ fn check_contents(name: &str, bytes: &[u8]) {
             assert_eq!(volume.node_relative_error(4), Some(4.0 / 64.0));
             assert_eq!(volume.node_position(5), [3.0, 2.0, 3.5]);
             assert_eq!(volume.node_normal(0), None);
+        }
+        Kind::Sparse => {
+            assert_eq!(volume.grid().unwrap().counts, [5, 3, 3]);
+            // After three in the first row, two in the second.
+            assert_eq!(volume.bricks().unwrap().place_of(6), [0, 2, 0]);
+            // Half way along an edge of the larger cell.
+            let [min, max] = [volume.header().min, volume.header().max];
+            let middle = [0.5, 0.5, 1.0].map(f64::from);
+            let place: [f64; 3] = std::array::from_fn(|k| min[k] + middle[k] * (max[k] - min[k]));
+            let between = volume.sample_f64(place, [0.0; 3]).sh.coefficients[0][0];
+            let ends = [[2, 0, 2], [2, 2, 2]].map(|p| volume.bricks().unwrap().node_at(p).unwrap() as usize);
+            let expected = ends.map(|node| 0.5 * pattern(node, 0, 0)).iter().sum::<f32>();
+            assert!((between - expected).abs() < 1e-6, "{between} {expected}");
         }
         Kind::Points => {
             assert_eq!(volume.node_position(3), [1.25, 0.75, 4.0]);

@@ -7,9 +7,9 @@ use gdibl_runtime::format::crc32;
 use gdibl_runtime::{Error, Limits, Volume};
 
 fn small_files() -> Vec<File> {
-    let mut files = vec![small_grid(), small_points(), small_vertices()];
+    let mut files = vec![small_grid(), small_sparse(), small_points(), small_vertices()];
     if cfg!(feature = "zstd") {
-        files.extend([small_grid().zstd(), small_points().zstd(), small_vertices().zstd()]);
+        files.extend([small_grid(), small_sparse(), small_points(), small_vertices()].map(File::zstd));
     }
     files
 }
@@ -71,7 +71,7 @@ fn parse_refuses_trailing_bytes() {
 fn parse_refuses_what_it_does_not_know() {
     assert_unsupported(File { version: 2, ..small_grid() }, "version");
     assert_unsupported(File { version: 0, ..small_grid() }, "version");
-    assert_unsupported(File { kind: 3, ..small_grid() }, "kind");
+    assert_unsupported(File { kind: 4, ..small_grid() }, "kind");
     assert_unsupported(File { encoding: 2, ..small_grid() }, "encoding");
     assert_unsupported(File { bands: 5, ..small_grid() }, "bands");
     assert_unsupported(File { units: 2, ..small_grid() }, "units");

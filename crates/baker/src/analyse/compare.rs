@@ -7,7 +7,7 @@
 //! A place is held when a node is within a millimetre of it, or a ten-thousandth of the truth's box if that is less (what
 //! a round trip through text or single floats moves a place by), and, where both have a normal, faces the same way.
 
-use gdibl_runtime::{Kind, RadianceSh, Volume};
+use gdibl_runtime::{RadianceSh, Volume};
 use serde::Serialize;
 
 use super::error::{ErrorDirections, IrradianceError, Light, Pair, Tally};
@@ -282,7 +282,7 @@ impl<'a> Sampler<'a> {
         let places = 0..truth.positions.len();
         let same = found.node_count() == places.len() && places.clone().all(|i| sampler.holds(i, truth, i));
         if !same {
-            sampler.answer = if found.header().kind == Kind::Grid { Answer::Interpolated } else { Answer::Held };
+            sampler.answer = if found.grid().is_some() { Answer::Interpolated } else { Answer::Held };
         }
         sampler
     }

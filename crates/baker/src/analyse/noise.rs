@@ -30,7 +30,7 @@ pub(super) fn node_variances(volume: &Volume) -> Option<Vec<f64>> {
 
 /// Variance of E of what a grid answers between its nodes, which are independent: Σ w² Var. Filled nodes do not count.
 pub(super) fn sample_variance(volume: &Volume, variances: &[f64], position: [f64; 3]) -> f64 {
-    let cell = volume.header().grid().locate(position);
+    let Some(cell) = volume.cell(position) else { return 0.0 };
     let nodes = || cell.nodes.iter().map(|&node| node as usize).zip(cell.weights);
     let valid: f32 = nodes().filter(|(node, _)| volume.is_valid(*node)).map(|(_, weight)| weight).sum();
     if valid < LEAST_VALID {

@@ -1,6 +1,6 @@
 //! Light for nodes that have none of their own, from those that have.
 //!
-//! On a grid: layer by layer from the neighbours, and then smoothed until it is as even as what surrounds it (the solution
+//! On a grid, sparse or not: layer by layer from the neighbours, and then smoothed until it is as even as what surrounds it (the solution
 //! of Laplace's equation over the filled nodes, by Gauss and Seidel's sweeps). Neighbours count unless a wall stands
 //! between; the surface of the solid that a node stands in is none. Of points and vertices: from the nearest.
 
@@ -10,6 +10,7 @@ use gdibl_runtime::sh;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::cells::{Cells, Neighbours};
 use super::{Baked, Nodes, Standing};
 use crate::radiance::RadianceFunction;
 use crate::trace::Level;
@@ -32,7 +33,7 @@ pub(super) fn fill(
     if baked.is_all_valid() || baked.valid_nodes().next().is_none() {
         return Ok(0);
     }
-    let Nodes::Grid(grid) = nodes else {
+    let Some(cells) = Cells::of(nodes) else {
         fill_from_nearest(nodes, baked);
         return Ok(0);
     };
@@ -41,41 +42,29 @@ pub(super) fn fill(
         true => Err(Interrupted),
         false => {
             let in_solid = baked.standing[node as usize] != Standing::Uncovered;
-            let passes = |neighbour: &u32| passes(level, place(node), place(*neighbour), in_solid);
-            let links = neighbours(grid, node).map(|neighbour| neighbour.filter(passes));
+            let passes = |(neighbour, _): &(u32, u32)| passes(level, place(node), place(*neighbour), in_solid);
+            let links = cells.neighbours(node).map(|neighbour| neighbour.filter(passes));
             Ok((links, level.take_rays()))
         }
     };
     let links: Result<Vec<_>, Interrupted> = invalid.par_iter().map_init(|| function.level(), link).collect();
-    let (mut links, rays): (Vec<Links>, Vec<u64>) = links?.into_iter().unzip();
+    let (mut links, rays): (Vec<Neighbours>, Vec<u64>) = links?.into_iter().unzip();
     let mut known: Vec<bool> = (0..nodes.len()).map(|node| baked.is_valid(node)).collect();
-    let mut filled = spread(&invalid, &links, grid, baked, &mut known);
+    let mut filled = spread(&invalid, &links, cells.grid, baked, &mut known);
     // Whoever is left stands where walls are all around.
     for (links, &node) in links.iter_mut().zip(&invalid) {
         if !known[node as usize] {
-            *links = neighbours(grid, node);
+            *links = cells.neighbours(node);
         }
     }
-    filled.extend(spread(&invalid, &links, grid, baked, &mut known));
+    filled.extend(spread(&invalid, &links, cells.grid, baked, &mut known));
     for _ in 0..SWEEPS {
         for &number in &filled {
-            let mean = mean(&links[number], grid, baked, &known);
+            let mean = mean(&links[number], cells.grid, baked, &known);
             set(baked, invalid[number], &mean);
         }
     }
     Ok(rays.iter().sum())
-}
-
-/// Neighbours along -x, +x, -y, +y, -z, +z.
-type Links = [Option<u32>; 6];
-
-fn neighbours(grid: &Grid, node: u32) -> Links {
-    let [nx, ny, nz] = grid.counts;
-    let axes = [(1, node % nx, nx), (nx, node / nx % ny, ny), (nx.wrapping_mul(ny), node / nx / ny, nz)];
-    let along = axes
-        .map(|(stride, place, count)| [(place > 0).then(|| node - stride), (place + 1 < count).then(|| node + stride)]);
-    let [[a, b], [c, d], [e, f]] = along;
-    [a, b, c, d, e, f]
 }
 
 /// Nothing stands between two places, or that alone which the first is behind.
@@ -87,11 +76,11 @@ fn passes(level: &Level, from: Vec3, to: Vec3, in_solid: bool) -> bool {
 
 /// Gives nodes that are not known the mean of those neighbours that are, layer by layer: each reads the one before alone.
 /// Returns the numbers of those it reached, in that order.
-fn spread(invalid: &[u32], links: &[Links], grid: &Grid, baked: &mut Baked, known: &mut [bool]) -> Vec<usize> {
+fn spread(invalid: &[u32], links: &[Neighbours], grid: &Grid, baked: &mut Baked, known: &mut [bool]) -> Vec<usize> {
     let mut reached = Vec::new();
     let mut rest: Vec<usize> = (0..invalid.len()).filter(|number| !known[invalid[*number] as usize]).collect();
     loop {
-        let is_next = |number: &usize| links[*number].iter().flatten().any(|neighbour| known[*neighbour as usize]);
+        let is_next = |number: &usize| links[*number].iter().flatten().any(|(neighbour, _)| known[*neighbour as usize]);
         let (layer, left): (Vec<usize>, Vec<usize>) = rest.into_iter().partition(is_next);
         if layer.is_empty() {
             return reached;
@@ -107,13 +96,13 @@ fn spread(invalid: &[u32], links: &[Links], grid: &Grid, baked: &mut Baked, know
 }
 
 /// Of the neighbours that are known, each by the inverse square of its distance.
-fn mean(links: &Links, grid: &Grid, baked: &Baked, known: &[bool]) -> Vec<f32> {
+fn mean(links: &Neighbours, grid: &Grid, baked: &Baked, known: &[bool]) -> Vec<f32> {
     let spacing = grid.spacing();
     let mut sum = vec![0.0f32; 3 * sh::coefficient_count(baked.bands)];
     let mut total = 0.0;
     for (side, neighbour) in links.iter().enumerate() {
-        let Some(neighbour) = neighbour.filter(|neighbour| known[*neighbour as usize]) else { continue };
-        let weight = (1.0 / spacing[side / 2].powi(2)) as f32;
+        let Some((neighbour, steps)) = neighbour.filter(|(neighbour, _)| known[*neighbour as usize]) else { continue };
+        let weight = (1.0 / (spacing[side / 2] * f64::from(steps)).powi(2)) as f32;
         sum.iter_mut().zip(baked.node(neighbour as usize)).for_each(|(sum, value)| *sum += weight * value);
         total += weight;
     }

@@ -3,11 +3,13 @@
 //!
 //! Parallel over nodes; every result has its own place, so bytes do not depend on the number of threads.
 
+mod cells;
 mod directions;
 mod fill;
 mod gather;
 mod integrate;
 mod nodes;
+mod refine;
 mod standing;
 mod walls;
 
@@ -16,11 +18,13 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::Mutex;
 
+use cells::Cells;
 pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 pub use integrate::INTERVAL_95;
 use integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence};
-pub use nodes::{Nodes, VertexSet, grid_of_counts, grid_of_spacing};
+pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_spacing};
+pub use refine::{bake_sparse, grid_of_cells, levels_of};
 use standing::Sites;
 pub use standing::Standing;
 pub use walls::{WallCell, Walls};
@@ -169,40 +173,94 @@ pub fn bake(
 ) -> Result<Baked, Interrupted> {
     assert!(settings.bands <= sh::MAX_BANDS, "bands {} of at most {}", settings.bands, sh::MAX_BANDS);
     assert!((1..=BakeSettings::MAX_SAMPLES).contains(&settings.samples), "samples {}", settings.samples);
-    let mut sites = Sites::find(nodes, function, control)?;
-    let open = sites.open(nodes.neighbourhoods().into_iter());
-    (control.progress)((nodes.len() - open.len()) as u64, sites.rays);
-    let job = Job { nodes, sites: &sites, function, settings, control };
-    let median = match settings.target_error {
-        Some(_) if settings.samples > PILOT_SAMPLES => Some(job.pilot(&open)?),
-        _ => None,
-    };
-    let enough = |done: u64, estimate: Option<&NodeEstimate>| match (settings.target_error, median, estimate) {
-        (Some(_), Some(_), None) => PILOT_SAMPLES,
-        (Some(target), Some(median), Some(estimate)) => {
-            let relative = relative_error(estimate, median);
-            // Double until the target is met.
-            if relative <= target { done } else { (2 * done).min(settings.samples) }
+    let numbers = (0..nodes.len() as u32).collect();
+    let batch = Batch::sample(nodes, numbers, None, function, settings, control)?;
+    finish(nodes, function, settings, control, batch)
+}
+
+/// Some nodes, and what was found at them.
+struct Batch {
+    sites: Sites,
+    sampled: Sampled,
+    /// Irradiance of the volume.
+    median: f64,
+}
+
+impl Batch {
+    /// Samples the nodes of these numbers. `median` of others that were sampled before; else it is found.
+    fn sample(
+        nodes: &Nodes,
+        numbers: Vec<u32>,
+        median: Option<f64>,
+        function: &impl RadianceFunction,
+        settings: &BakeSettings,
+        control: &Control,
+    ) -> Result<Batch, Interrupted> {
+        let mut sites = Sites::find(nodes, numbers, function, control)?;
+        let count = sites.numbers.len();
+        let open = sites.open(nodes.neighbourhoods(&sites.numbers).into_iter());
+        (control.progress)((count - open.len()) as u64, sites.rays);
+        let job = Job { nodes, sites: &sites, function, settings, control };
+        let median = match settings.target_error {
+            Some(_) if settings.samples > PILOT_SAMPLES && median.is_none() => Some(job.pilot(&open)?),
+            _ => median,
+        };
+        let enough = |done: u64, estimate: Option<&NodeEstimate>| match (settings.target_error, median, estimate) {
+            (Some(_), Some(_), None) => PILOT_SAMPLES.min(settings.samples),
+            (Some(target), Some(median), Some(estimate)) => {
+                let relative = relative_error(estimate, median);
+                // Double until the target is met.
+                if relative <= target { done } else { (2 * done).min(settings.samples) }
+            }
+            _ => settings.samples,
+        };
+        let mut sampled = Sampled::new(count, settings);
+        job.sample(&open, enough, &mut sampled)?;
+        let median = median.unwrap_or_else(|| median_irradiance(&sampled.estimates));
+        let is_dark = |sampled: &Sampled, node: &u32| sampled.estimates[*node as usize].is_dark(median);
+        let dark: Vec<u32> = sites.suspects.iter().copied().filter(|node| is_dark(&sampled, node)).collect();
+        let out = sites.step_out(&dark, nodes, function);
+        let silent = Control { cancel: control.cancel, progress: &|_, rays| (control.progress)(0, rays) };
+        Job { nodes, sites: &sites, function, settings, control: &silent }.sample(&out, enough, &mut sampled)?;
+        for node in out.into_iter().filter(|node| !is_dark(&sampled, node)) {
+            sites.standing[node as usize] = Standing::Open;
         }
-        _ => settings.samples,
-    };
-    let mut sampled = Sampled::new(nodes.len(), settings);
-    job.sample(&open, enough, &mut sampled)?;
-    let median = median.unwrap_or_else(|| median_irradiance(&sampled.estimates));
-    let is_dark = |sampled: &Sampled, node: &u32| sampled.estimates[*node as usize].is_dark(median);
-    let dark: Vec<u32> = sites.suspects.iter().copied().filter(|node| is_dark(&sampled, node)).collect();
-    let out = sites.step_out(&dark, nodes, function);
-    let silent = Control { cancel: control.cancel, progress: &|_, rays| (control.progress)(0, rays) };
-    Job { nodes, sites: &sites, function, settings, control: &silent }.sample(&out, enough, &mut sampled)?;
-    for node in out.into_iter().filter(|node| !is_dark(&sampled, node)) {
-        sites.standing[node as usize] = Standing::Open;
-    }
-    for (standing, estimate) in sites.standing.iter_mut().zip(&sampled.estimates) {
-        if *standing == Standing::Open && estimate.coverage == 0.0 {
-            *standing = Standing::Uncovered;
+        for (standing, estimate) in sites.standing.iter_mut().zip(&sampled.estimates) {
+            if *standing == Standing::Open && estimate.coverage == 0.0 {
+                *standing = Standing::Uncovered;
+            }
         }
+        Ok(Batch { sites, sampled, median })
     }
-    finish(nodes, function, settings, control, sites, sampled, median)
+
+    /// Others behind these.
+    fn append(&mut self, other: Batch) {
+        self.sites.append(other.sites);
+        let Sampled { sh, coefficient_error, estimates, rays, samples } = other.sampled;
+        self.sampled.sh.extend(sh);
+        self.sampled.coefficient_error.extend(coefficient_error);
+        self.sampled.estimates.extend(estimates);
+        self.sampled.rays += rays;
+        self.sampled.samples += samples;
+    }
+
+    /// Those at these places, as the nodes 0 and up. What all took is what these took.
+    fn selected(&self, places: &[u32], settings: &BakeSettings) -> Batch {
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        let rows = |all: &[f32]| match all.is_empty() {
+            true => Vec::new(),
+            false => places.iter().flat_map(|p| &all[*p as usize * stride..][..stride]).copied().collect(),
+        };
+        let sampled = Sampled {
+            sh: rows(&self.sampled.sh),
+            coefficient_error: rows(&self.sampled.coefficient_error),
+            estimates: places.iter().map(|place| self.sampled.estimates[*place as usize]).collect(),
+            rays: self.sampled.rays,
+            samples: self.sampled.samples,
+        };
+        let median = median_irradiance(&sampled.estimates);
+        Batch { sites: self.sites.selected(places), sampled, median }
+    }
 }
 
 /// Figures and what lies between nodes, once all are sampled.
@@ -211,9 +269,7 @@ fn finish(
     function: &impl RadianceFunction,
     settings: &BakeSettings,
     control: &Control,
-    sites: Sites,
-    sampled: Sampled,
-    median: f64,
+    Batch { sites, sampled, median }: Batch,
 ) -> Result<Baked, Interrupted> {
     let Sampled { sh, mut coefficient_error, estimates, rays, samples } = sampled;
     let is_open: Vec<bool> = sites.standing.iter().map(|standing| *standing == Standing::Open).collect();
@@ -248,8 +304,8 @@ fn finish(
     };
     let place = |node| sites.place(node, nodes, function);
     let mut rays = fill::fill(nodes, &mut baked, function, place, control)?;
-    if let Nodes::Grid(grid) = nodes {
-        let (walls, more) = walls::find(grid, &baked, function, place, control)?;
+    if let Some(cells) = Cells::of(nodes) {
+        let (walls, more) = walls::find(cells, &baked, function, place, control)?;
         baked.walls = walls;
         rays += more;
     }
@@ -324,6 +380,12 @@ struct Sampled {
 }
 
 impl Sampled {
+    /// Coefficients of one node.
+    fn node(&self, place: usize, settings: &BakeSettings) -> &[f32] {
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        &self.sh[place * stride..][..stride]
+    }
+
     fn new(nodes: usize, settings: &BakeSettings) -> Sampled {
         let stride = 3 * sh::coefficient_count(settings.bands);
         Sampled {
@@ -336,7 +398,7 @@ impl Sampled {
     }
 }
 
-/// What is sampled, and how.
+/// What is sampled, and how. Nodes go by their places in the lists of `sites`.
 struct Job<'a, F> {
     nodes: &'a Nodes,
     sites: &'a Sites,
@@ -348,7 +410,7 @@ struct Job<'a, F> {
 impl<F: RadianceFunction> Job<'_, F> {
     /// Median RMS of E over these nodes, from a few samples each: the floor of relative errors.
     fn pilot(&self, which: &[u32]) -> Result<f64, Interrupted> {
-        let mut sampled = Sampled::new(self.nodes.len(), self.settings);
+        let mut sampled = Sampled::new(self.sites.numbers.len(), self.settings);
         let silent = Control { cancel: self.control.cancel, progress: &|_, _| {} };
         Job { control: &silent, ..*self }.sample(which, |_, _| PILOT_SAMPLES, &mut sampled)?;
         Ok(median_irradiance(&sampled.estimates))
@@ -375,7 +437,8 @@ impl<F: RadianceFunction> Job<'_, F> {
                     .iter()
                     .map(|&index| {
                         let origin = self.sites.place(index, self.nodes, function);
-                        let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node: index.into() };
+                        let node = u64::from(self.sites.numbers[index as usize]);
+                        let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node };
                         let known = match settings.punctual {
                             true => punctual_light(function, origin, &mut known_rays),
                             false => NO_LIGHT,

@@ -1,5 +1,6 @@
 //! Where irradiance is baked: a grid, the level's vertices, or listed points.
 
+use gdibl_runtime::bricks::Bricks;
 use gdibl_runtime::grid::Grid;
 use glam::{DVec3, Vec3};
 
@@ -15,6 +16,8 @@ const VERTEX_OFFSET: f32 = 5e-3;
 pub enum Nodes {
     /// Lattice, x fastest.
     Grid(Grid),
+    /// Some places of a lattice, in the order of the bricks.
+    Sparse(SparseGrid),
     /// Positions, world metres.
     Points(Vec<DVec3>),
     /// Every vertex of every mesh that keeps one.
@@ -28,6 +31,22 @@ pub enum Nodes {
         /// Which mesh they belong to.
         sets: Vec<VertexSet>,
     },
+}
+
+/// A grid some of whose places are nodes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SparseGrid {
+    /// All places.
+    pub grid: Grid,
+    /// Which are nodes.
+    pub bricks: Bricks,
+}
+
+impl SparseGrid {
+    /// The index in the grid of a node's place.
+    pub fn index_of(&self, node: usize) -> u32 {
+        self.grid.index_of(self.bricks.place_of(node))
+    }
 }
 
 /// The vertices of one primitive of one glTF node, in the file's order.
@@ -68,25 +87,27 @@ impl Nodes {
     pub fn len(&self) -> usize {
         match self {
             Nodes::Grid(grid) => grid.node_count(),
+            Nodes::Sparse(sparse) => sparse.bricks.node_count(),
             Nodes::Points(positions) | Nodes::Vertices { positions, .. } => positions.len(),
         }
     }
 
-    /// All indices, so ordered that those in a row stand near each other: along a Z-order
+    /// The places in this list of node numbers, so ordered that those in a row stand near each other: along a Z-order
     /// curve (Morton, 1966) through their box.
-    pub(super) fn neighbourhoods(&self) -> Vec<u32> {
+    pub(super) fn neighbourhoods(&self, numbers: &[u32]) -> Vec<u32> {
+        let position = |place: usize| self.position(numbers[place] as usize);
         const BITS: u32 = 10;
         let mut bounds = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        (0..self.len()).map(|i| self.position(i)).for_each(|p| bounds = (bounds.0.min(p), bounds.1.max(p)));
+        (0..numbers.len()).map(position).for_each(|p| bounds = (bounds.0.min(p), bounds.1.max(p)));
         let cell = (bounds.1 - bounds.0).max_element().max(f64::MIN_POSITIVE) / f64::from((1 << BITS) - 1);
         let code = |index: &u32| {
-            let place = (self.position(*index as usize) - bounds.0) / cell;
+            let place = (position(*index as usize) - bounds.0) / cell;
             let bits = |number: f64, axis: u32| {
                 (0..BITS).map(|bit| (number as u32 >> bit & 1) << (3 * bit + axis)).sum::<u32>()
             };
             (bits(place.x, 0) | bits(place.y, 1) | bits(place.z, 2), *index)
         };
-        let mut order: Vec<u32> = (0..self.len() as u32).collect();
+        let mut order: Vec<u32> = (0..numbers.len() as u32).collect();
         order.sort_by_cached_key(code);
         order
     }
@@ -100,6 +121,7 @@ impl Nodes {
     pub fn position(&self, index: usize) -> DVec3 {
         match self {
             Nodes::Grid(grid) => DVec3::from(grid.node_position(index)),
+            Nodes::Sparse(SparseGrid { grid, bricks }) => DVec3::from(grid.place_position(bricks.place_of(index))),
             Nodes::Points(positions) | Nodes::Vertices { positions, .. } => positions[index],
         }
     }
@@ -112,7 +134,7 @@ impl Nodes {
             // there would leave the room through them.
             Nodes::Vertices { normals, inward, .. } => position + (normals[index] + inward[index]) * VERTEX_OFFSET,
             // The outermost nodes of a grid over the whole level lie exactly in its walls.
-            Nodes::Grid(_) => frame.off_the_walls(position, VERTEX_OFFSET),
+            Nodes::Grid(_) | Nodes::Sparse(_) => frame.off_the_walls(position, VERTEX_OFFSET),
             Nodes::Points(_) => position,
         }
     }

@@ -9,7 +9,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::Nodes;
+use super::{Nodes, SparseGrid};
 use crate::radiance::{RadianceFunction, SOLID_BACKS};
 use crate::sampling::fibonacci_sphere;
 use crate::trace::{Level, Met};
@@ -46,9 +46,11 @@ const LEAST_OFF: f32 = 5e-3;
 /// Ways out that are tried.
 const MOST_STEPS: usize = 8;
 
-/// What all nodes stand in, and where each one's rays start.
-#[derive(Debug)]
+/// What some nodes stand in, and where each one's rays start. All lists go by places in `numbers`.
+#[derive(Debug, Default)]
 pub(super) struct Sites {
+    /// Which of the nodes these are.
+    pub numbers: Vec<u32>,
     /// Per node. Of `Open` ones some may be [`suspects`](Sites::suspects).
     pub standing: Vec<Standing>,
     /// Those whose rays start elsewhere than [`Nodes::ray_origin`], in order; trace space.
@@ -77,24 +79,30 @@ struct Look {
 }
 
 impl Sites {
-    /// Looks around at every node.
-    pub fn find(nodes: &Nodes, function: &impl RadianceFunction, control: &Control) -> Result<Sites, Interrupted> {
-        let mut sites = Sites { standing: Vec::new(), moved: Vec::new(), suspects: Vec::new(), rays: 0 };
+    /// Looks around at these nodes.
+    pub fn find(
+        nodes: &Nodes,
+        numbers: Vec<u32>,
+        function: &impl RadianceFunction,
+        control: &Control,
+    ) -> Result<Sites, Interrupted> {
+        let count = numbers.len();
+        let mut sites = Sites { numbers, ..Sites::default() };
         if function.level().is_empty() {
-            sites.standing = vec![Standing::Open; nodes.len()];
+            sites.standing = vec![Standing::Open; count];
             return Ok(sites);
         }
-        let origin = |index: usize| nodes.ray_origin(index, function.frame());
+        let origin = |index: usize| sites.origin(index as u32, nodes, function);
         let settle = |around: &mut Around, index| match control.cancelled() {
             true => Err(Interrupted),
             false => Ok(around.settle(origin(index))),
         };
         let start = || Around::new(nodes, function);
-        let found: Result<Vec<Site>, Interrupted> = (0..nodes.len()).into_par_iter().map_init(start, settle).collect();
+        let found: Result<Vec<Site>, Interrupted> = (0..count).into_par_iter().map_init(start, settle).collect();
         for (index, site) in found?.iter().enumerate() {
             sites.rays += site.rays;
             sites.standing.push(site.standing);
-            if site.place != origin(index) {
+            if site.place != sites.origin(index as u32, nodes, function) {
                 sites.moved.push((index as u32, site.place));
             }
             if site.is_suspect {
@@ -109,11 +117,40 @@ impl Sites {
         nodes.filter(|&node| self.standing[node as usize] == Standing::Open).collect()
     }
 
+    fn origin(&self, node: u32, nodes: &Nodes, function: &impl RadianceFunction) -> Vec3 {
+        nodes.ray_origin(self.numbers[node as usize] as usize, function.frame())
+    }
+
+    /// The same sites and others behind them.
+    pub fn append(&mut self, other: Sites) {
+        let first = self.numbers.len() as u32;
+        self.numbers.extend(other.numbers);
+        self.standing.extend(other.standing);
+        self.moved.extend(other.moved.into_iter().map(|(node, place)| (first + node, place)));
+        self.suspects.extend(other.suspects.into_iter().map(|node| first + node));
+        self.rays += other.rays;
+    }
+
+    /// Those at these places in the lists, as the nodes of other numbers: 0 and up.
+    pub fn selected(&self, places: &[u32]) -> Sites {
+        let moved = |(node, place): (usize, &u32)| {
+            let found = self.moved.binary_search_by_key(place, |moved| moved.0).ok()?;
+            Some((node as u32, self.moved[found].1))
+        };
+        Sites {
+            numbers: (0..places.len() as u32).collect(),
+            standing: places.iter().map(|place| self.standing[*place as usize]).collect(),
+            moved: places.iter().enumerate().filter_map(moved).collect(),
+            suspects: Vec::new(),
+            rays: self.rays,
+        }
+    }
+
     /// Where the rays of a node start, trace space.
     pub fn place(&self, node: u32, nodes: &Nodes, function: &impl RadianceFunction) -> Vec3 {
         match self.moved.binary_search_by_key(&node, |moved| moved.0) {
             Ok(found) => self.moved[found].1,
-            Err(_) => nodes.ray_origin(node as usize, function.frame()),
+            Err(_) => self.origin(node, nodes, function),
         }
     }
 
@@ -166,7 +203,9 @@ struct Around<'a> {
 impl<'a> Around<'a> {
     fn new(nodes: &Nodes, function: &'a impl RadianceFunction) -> Around<'a> {
         let spacing = match nodes {
-            Nodes::Grid(grid) => DVec3::from(grid.spacing()) * function.frame().scale,
+            Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }) => {
+                DVec3::from(grid.spacing()) * function.frame().scale
+            }
             Nodes::Points(_) | Nodes::Vertices { .. } => DVec3::ZERO,
         };
         let least = spacing.to_array().into_iter().filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min);

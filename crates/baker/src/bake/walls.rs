@@ -6,7 +6,7 @@
 //! most of it sees. The runtime interpolates between those alone. A wall with two faces is cut in the middle: so places on
 //! its faces fall to their own side, however thin it is. What changes light by next to nothing is left out.
 
-use gdibl_runtime::grid::Grid;
+use gdibl_runtime::bricks::Corners;
 use gdibl_runtime::sh;
 use gdibl_runtime::walls::{BIAS, MOST_PLANES};
 use glam::{DVec3, Vec3};
@@ -15,6 +15,7 @@ use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::Baked;
+use super::cells::Cells;
 use crate::radiance::RadianceFunction;
 use crate::trace::{Frame, Level};
 use crate::{Control, Interrupted};
@@ -32,6 +33,8 @@ pub struct Walls {
     pub dropped: usize,
 }
 
+/// Cells that one worker looks at in a row.
+const CELLS_AT_A_TIME: usize = 32;
 /// Places per axis from which a cell is looked at.
 const PER_AXIS: usize = 4;
 /// Places on a surface stand off it by this share of the distance between nodes: the runtime's own bias.
@@ -51,49 +54,48 @@ const LEAST_WEIGHT: f32 = 0.05;
 /// Irradiance under this share of the volume's median is black.
 const BLACK: f64 = 1e-3;
 
-/// Looks at every cell of a grid whose nodes' light is taken at `place` (trace space). Walls, and the rays it took.
+/// Looks at every cell of a grid, sparse or not, whose nodes' light is taken at `place` (trace space). Walls, and the rays it took.
 pub(super) fn find(
-    grid: &Grid,
+    cells: Cells,
     baked: &Baked,
     function: &impl RadianceFunction,
     place: impl Fn(u32) -> Vec3 + Sync,
     control: &Control,
 ) -> Result<(Option<Walls>, u64), Interrupted> {
-    if function.level().is_empty() || grid.node_count() < 2 {
+    let grid = cells.grid;
+    if function.level().is_empty() || baked.len() < 2 {
         return Ok((None, 0));
     }
     let frame = function.frame();
     let spacing = grid.spacing().into_iter().filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min) * frame.scale;
     let off = (spacing as f32 * OFF_SURFACES).max(LEAST_OFF);
     let black = BLACK * median_irradiance(baked);
-    let search = || Search { grid, frame, level: function.level(), baked, place: &place, off, black };
+    let search = || Search { cells, frame, level: function.level(), baked, place: &place, off, black };
     let rays = AtomicU64::new(0);
     let counted = |search: &Search<_>| rays.fetch_add(search.level.take_rays(), Ordering::Relaxed);
-    // Of a whole row at a time.
-    let row = grid.counts[0].max(1);
-    let rows = grid.node_count() as u32 / row;
-    let cut = |search: &mut Search<_>, number: u32| {
+    let cut = |search: &mut Search<_>, some: &[u32]| {
         if control.cancelled() {
             return Err(Interrupted);
         }
-        let cells = (number * row..(number + 1) * row).filter(|node| grid.is_cell(*node));
-        let cuts: Vec<(u32, Cut)> = cells.filter_map(|node| search.cut(node).map(|cut| (node, cut))).collect();
+        let cuts: Vec<(u32, Cut)> = some.iter().filter_map(|&cell| search.cut(cell).map(|cut| (cell, cut))).collect();
         counted(search);
         Ok(cuts)
     };
-    let found: Result<Vec<Vec<(u32, Cut)>>, Interrupted> = (0..rows).into_par_iter().map_init(search, cut).collect();
+    let all = cells.all();
+    let found: Result<Vec<Vec<(u32, Cut)>>, Interrupted> =
+        all.par_chunks(CELLS_AT_A_TIME).map_init(search, cut).collect();
     let found: Vec<(u32, Cut)> = found?.into_iter().flatten().collect();
     if found.is_empty() {
         return Ok((None, rays.into_inner()));
     }
-    let cells: HashSet<u32> = found.iter().map(|(cell, _)| *cell).collect();
-    let ends = |search: &mut Search<_>, (lowest, cut): &(u32, Cut)| {
-        let ends = search.ends(*lowest, cut, &cells);
+    let walled: HashSet<u32> = found.iter().map(|(cell, _)| *cell).collect();
+    let ends = |search: &mut Search<_>, (cell, cut): &(u32, Cut)| {
+        let ends = search.ends(*cell, cut, &walled);
         counted(search);
         ends
     };
     let ends: Vec<Vec<u32>> = found.par_iter().map_init(search, ends).collect();
-    let walls = collect(grid, frame, off, found, &ends.into_iter().flatten().collect());
+    let walls = collect(cells, frame, off, found, &ends.into_iter().flatten().collect());
     Ok((Some(walls), rays.into_inner()))
 }
 
@@ -108,9 +110,9 @@ fn median_irradiance(baked: &Baked) -> f64 {
 }
 
 /// Values of E's own coefficients, up to L2: see [`sh::COSINE`]. Their root sum of squares is that of E over all normals.
-type Irradiance = [f32; 27];
+pub(super) type Irradiance = [f32; 27];
 
-fn irradiance_of(radiance: &[f32]) -> Irradiance {
+pub(super) fn irradiance_of(radiance: &[f32]) -> Irradiance {
     let mut values = [0.0; 27];
     for (index, (value, radiance)) in values.iter_mut().zip(radiance).enumerate() {
         *value = radiance * sh::COSINE[sh::band_of(index / 3)];
@@ -118,13 +120,13 @@ fn irradiance_of(radiance: &[f32]) -> Irradiance {
     values
 }
 
-fn strength(irradiance: &Irradiance) -> f64 {
+pub(super) fn strength(irradiance: &Irradiance) -> f64 {
     irradiance.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt()
 }
 
 /// What all cells share.
 struct Search<'a, P> {
-    grid: &'a Grid,
+    cells: Cells<'a>,
     frame: &'a Frame,
     level: Level<'a>,
     baked: &'a Baked,
@@ -157,9 +159,9 @@ struct Cut {
     masks: [u8; 1 << MOST_PLANES],
 }
 
-/// A cell's box and corners.
+/// A cell's box and the nodes of its corners.
 struct Cell {
-    nodes: [u32; 8],
+    corners: Corners,
     middle: Vec3,
     half: Vec3,
     /// Where each corner's light is taken, trace space.
@@ -178,23 +180,26 @@ impl Cell {
         let inside = share.cmpge(Vec3::splat(-SLACK)).all() && share.cmple(Vec3::splat(1.0 + SLACK)).all();
         let share = share.clamp(Vec3::ZERO, Vec3::ONE);
         inside.then(|| {
-            std::array::from_fn(|corner| {
+            let mut weights = std::array::from_fn(|corner| {
                 let along = |axis: usize| if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
                 along(0) * along(1) * along(2)
-            })
+            });
+            self.corners.spread(&mut weights);
+            weights
         })
     }
 }
 
 impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
-    fn cell(&self, lowest: u32) -> Cell {
-        let nodes = self.grid.cell_nodes(lowest);
+    fn cell(&self, cell: u32) -> Cell {
+        let corners = self.cells.corners(cell);
+        let nodes = corners.nodes;
         let is_valid = |corner: &usize| self.baked.is_valid(nodes[*corner] as usize);
         let valid = (0..8).filter(is_valid).map(|corner| 1 << corner).sum();
-        let (min, max) = self.grid.cell_box(lowest);
+        let (min, max) = self.cells.bounds(cell);
         let (min, max) = (self.frame.to_trace(min.into()), self.frame.to_trace(max.into()));
         Cell {
-            nodes,
+            corners,
             middle: (min + max) / 2.0,
             half: (max - min) / 2.0,
             places: nodes.map(|node| (self.place)(node)),
@@ -203,12 +208,12 @@ impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
     }
 
     /// How to cut a cell; `None` where there is no need.
-    fn cut(&self, lowest: u32) -> Option<Cut> {
-        let cell = self.cell(lowest);
+    fn cut(&self, cell: u32) -> Option<Cut> {
+        let cell = self.cell(cell);
         if !self.has_wall(&cell) {
             return None;
         }
-        let light = cell.nodes.map(|node| irradiance_of(self.baked.node(node as usize)));
+        let light = cell.corners.nodes.map(|node| irradiance_of(self.baked.node(node as usize)));
         let (witnesses, candidates) = self.look(&cell);
         let splits = choose(&witnesses, cell.valid, candidates);
         let masks = masks(&witnesses, cell.valid, &splits);
@@ -230,8 +235,9 @@ impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
     /// Some corner cannot see another, along the cell's edges or across it.
     fn has_wall(&self, cell: &Cell) -> bool {
         let pairs = (0..8usize).flat_map(|a| [1, 2, 4, 7].map(|bit| (a, a ^ bit)));
-        let mut pairs = pairs
-            .filter(|(a, b)| a < b && cell.nodes[*a] != cell.nodes[*b] && cell.valid >> a & cell.valid >> b & 1 == 1);
+        let mut pairs = pairs.filter(|(a, b)| {
+            a < b && cell.corners.nodes[*a] != cell.corners.nodes[*b] && cell.valid >> a & cell.valid >> b & 1 == 1
+        });
         pairs.any(|(a, b)| !self.level.is_clear(cell.places[a], cell.places[b]))
     }
 
@@ -277,12 +283,12 @@ impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
 
     /// Nodes at which the walls of a cell end: those of its faces to cells that are not `cut`, where it hides some of them
     /// from a place in the open.
-    fn ends(&self, lowest: u32, cut: &Cut, cells: &HashSet<u32>) -> Vec<u32> {
-        let cell = self.cell(lowest);
+    fn ends(&self, number: u32, cut: &Cut, walled: &HashSet<u32>) -> Vec<u32> {
+        let cell = self.cell(number);
         let mut ends = Vec::new();
         for (axis, side) in [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)] {
-            let beyond = self.grid.neighbour_cell(lowest, axis, side == 1);
-            if beyond.is_none_or(|beyond| cells.contains(&beyond)) {
+            let beyond = self.cells.beyond(number, axis, side == 1);
+            if beyond.iter().all(|beyond| walled.contains(beyond)) {
                 continue;
             }
             let corners = (0..8usize).filter(|corner| corner >> axis & 1 == side);
@@ -302,7 +308,7 @@ impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
                 mask != 0 && corners.clone().any(hidden)
             };
             if (0..PER_AXIS * PER_AXIS).any(hides) {
-                ends.extend(corners.map(|corner| cell.nodes[corner]));
+                ends.extend(corners.map(|corner| cell.corners.nodes[corner]));
             }
         }
         ends
@@ -310,10 +316,10 @@ impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
 }
 
 /// All cuts, with one table of planes. `off`: distances that differ by an eighth of it are one, trace units.
-fn collect(grid: &Grid, frame: &Frame, off: f32, found: Vec<(u32, Cut)>, ends: &HashSet<u32>) -> Walls {
+fn collect(cells: Cells, frame: &Frame, off: f32, found: Vec<(u32, Cut)>, ends: &HashSet<u32>) -> Walls {
     let mut walls = Walls::default();
     let mut numbers: HashMap<[i64; 4], u16> = HashMap::new();
-    let min = DVec3::from(grid.min);
+    let min = DVec3::from(cells.grid.min);
     for (cell, Cut { middle, splits, masks }) in found {
         let mut planes = [WallCell::NO_PLANE; MOST_PLANES];
         let mut fits = true;
@@ -331,7 +337,7 @@ fn collect(grid: &Grid, frame: &Frame, off: f32, found: Vec<(u32, Cut)>, ends: &
             }
             *plane = number;
         }
-        let nodes = grid.cell_nodes(cell);
+        let nodes = cells.corners(cell).nodes;
         let ends = (0..8).filter(|corner| ends.contains(&nodes[*corner])).map(|corner| 1 << corner).sum();
         match fits {
             true => walls.cells.push(WallCell { cell, planes, masks, ends }),

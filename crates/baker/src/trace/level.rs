@@ -48,6 +48,11 @@ impl<'a> Level<'a> {
         self.surfaces.iter().all(Option::is_none)
     }
 
+    /// Corners of all triangles, trace space.
+    pub fn triangles(&self) -> impl Iterator<Item = &[Vec3; 3]> {
+        self.surfaces.iter().flatten().flat_map(|surfaces| (0..surfaces.len() as u32).map(|i| surfaces.corners(i)))
+    }
+
     /// The nearest surface along a ray (trace space) that shows itself, nearer than `t_max`.
     pub fn meet(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Met> {
         self.rays.update(|rays| rays + 1);

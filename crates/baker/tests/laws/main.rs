@@ -14,6 +14,7 @@ mod probes;
 mod regions;
 mod remembered;
 mod render;
+mod sparse;
 mod statistics;
 mod sun;
 mod walls;

@@ -191,3 +191,18 @@ pub fn small_vertices() -> File {
         .section(raw(b"NORM", floats(normals)))
         .section(raw(b"MESH", records))
 }
+
+/// Two cells of which the first is divided into eight: 26 nodes of 5 x 3 x 3 places, L1, f16.
+pub fn small_sparse() -> File {
+    let mut file = grid([26, 1, 1], 1, 1, 2.0);
+    file.kind = 3;
+    let mut bricks: Vec<u8> = [5u32, 3, 3, 1].iter().flat_map(|word| word.to_le_bytes()).collect();
+    bricks.push(1);
+    // In the face between the two only the corners are nodes, and beyond it the far corners.
+    let rows = [0b10111, 0b00011, 0b10111, 0, 0, 0, 0, 0];
+    let odd_rows = [0b00011, 0b00011, 0b00011, 0, 0, 0, 0, 0];
+    for z in [rows, odd_rows, rows, [0; 8], [0; 8], [0; 8], [0; 8], [0; 8]] {
+        bricks.extend(z);
+    }
+    file.radiance(pattern).section(raw(b"BRIK", bricks))
+}

@@ -1,0 +1,598 @@
+//! A sparse grid that is as fine as its light asks for: baked coarsely, and finer where that is not enough.
+//!
+//! Round by round every new cell is put to the test: a node is baked in its middle, and if what its corners say there is off by more
+//! than the tolerance, the cell is divided, until the grid's own spacing is reached. A difference that noise explains is none. Cells in
+//! which triangles stand between corners, or corners in solids, are always divided: light changes at once at surfaces, and there it is
+//! read most. What lies in solids and outside of the level all through stays coarse.
+//!
+//! Tests cost one node per cell, and those of cells that are divided are nodes of the next level.
+
+use gdibl_runtime::Volume;
+use gdibl_runtime::bricks::{Bricks, Leaf, MAX_LEVELS, is_node};
+use gdibl_runtime::grid::Grid;
+use gdibl_runtime::sh;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+use super::standing::{Sites, Standing};
+use super::walls::{Irradiance, irradiance_of, strength};
+use super::{BakeSettings, Baked, Batch, Nodes, SparseGrid, bake, finish};
+use crate::radiance::RadianceFunction;
+use crate::records::{ErrorSummary, SparseLevel, SparseRecord};
+use crate::trace::Level;
+use crate::volume::volume_of;
+use crate::{Control, Interrupted};
+
+/// A cell holds a triangle if that reaches so far into it, as a share of its half: walls that lie in the faces of cells are in none.
+const WITHIN: f32 = 0.998;
+/// A difference counts as noise up to the square root of this many times its standard error.
+const NOISE: f64 = 2.0;
+/// No axis of a grid grows by more than this to make whole coarse cells.
+const MOST_GROWTH: f64 = 1.25;
+/// A share of the nodes, and a number, that middles of finest cells are baked for in order to know the error there.
+const CHECKED_SHARE: usize = 50;
+const MOST_CHECKED: usize = 512;
+
+/// The grid that a sparse volume is made of, for a grid that is asked for: counts grow until coarse cells fit in. The same where that
+/// would take too much.
+pub fn grid_of_cells(grid: Grid) -> Grid {
+    let cells = grid.counts.map(|count| count.saturating_sub(1));
+    let grown = |levels: u32| cells.map(|cells| cells.div_ceil(1 << levels) << levels);
+    let fits = |levels: &u32| {
+        grown(*levels).iter().zip(cells).all(|(grown, cells)| f64::from(*grown) <= MOST_GROWTH * f64::from(cells))
+    };
+    let levels = (0..=MAX_LEVELS).rev().find(fits).unwrap_or(0);
+    Grid { counts: grown(levels).map(|cells| cells + 1), ..grid }
+}
+
+/// How often cells of a grid can be put together, eight to one; 0 where they cannot.
+pub fn levels_of(grid: &Grid) -> u32 {
+    let cells = grid.counts.iter().map(|count| count - 1).filter(|cells| *cells > 0);
+    cells.map(|cells| cells.trailing_zeros()).min().unwrap_or(0).min(MAX_LEVELS)
+}
+
+/// Bakes a grid as sparsely as `tolerance` allows, the relative error of irradiance between nodes: a sparse one, the grid itself
+/// where that is no larger, or one node where light is the same all over. `None` in place of a report if the grid has no coarser
+/// cells.
+pub fn bake_sparse(
+    grid: &Grid,
+    tolerance: f64,
+    function: &impl RadianceFunction,
+    settings: &BakeSettings,
+    control: &Control,
+) -> Result<(Nodes, Baked, Option<SparseRecord>), Interrupted> {
+    let levels = levels_of(grid);
+    let nodes = Nodes::Grid(*grid);
+    if levels == 0 {
+        let baked = bake(&nodes, function, settings, control)?;
+        return Ok((nodes, baked, None));
+    }
+    let mut refiner = Refiner::new(grid, levels, tolerance, function, settings, control);
+    let mut frontier = refiner.tree.cells_of(levels);
+    loop {
+        refiner.bake_places_of(&frontier)?;
+        let bricks = refiner.bricks();
+        if refiner.tree.is_whole() && refiner.is_even() {
+            return refiner.one_node();
+        }
+        let divided = refiner.divided(&bricks, &frontier)?;
+        let mut refined = Vec::new();
+        divided.iter().for_each(|cell| refiner.tree.refine(*cell, &mut refined));
+        if refined.is_empty() {
+            break;
+        }
+        let tree = &refiner.tree;
+        frontier = refined.iter().flat_map(|cell| cell.children(grid)).filter(|cell| !tree.is_refined(*cell)).collect();
+    }
+    refiner.merge_solid();
+    let bricks = refiner.bricks();
+    let stride = 2 * 3 * sh::coefficient_count(settings.bands);
+    if bricks.node_count() * stride + bricks.to_bytes().len() >= grid.node_count() * stride {
+        refiner.bake_missing((0..grid.node_count() as u32).collect())?;
+        return refiner.finish(nodes, &bricks);
+    }
+    refiner.finish(Nodes::Sparse(SparseGrid { grid: *grid, bricks: bricks.clone() }), &bricks)
+}
+
+/// A cell of some level: its lowest place is `index` times 2^level.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Cell {
+    level: u32,
+    index: [u32; 3],
+}
+
+impl Cell {
+    fn origin(self) -> [u32; 3] {
+        self.index.map(|n| n << self.level)
+    }
+
+    /// Its eighths; fewer where the grid is flat.
+    fn children(self, grid: &Grid) -> impl Iterator<Item = Cell> {
+        let flat = grid.counts.map(|count| count == 1);
+        let parts = (0..8u32).filter(move |part| (0..3).all(|axis| !flat[axis] || part >> axis & 1 == 0));
+        parts.map(move |part| Cell {
+            level: self.level - 1,
+            index: std::array::from_fn(|axis| 2 * self.index[axis] + (part >> axis & 1)),
+        })
+    }
+
+    /// Its corners, and those of its children if it may have any: 27 places, fewer where the grid is flat.
+    fn places(self, grid: &Grid) -> impl Iterator<Item = [u32; 3]> {
+        let origin = self.origin();
+        let (half, most) = if self.level == 0 { (1, 2) } else { (1 << self.level >> 1, 3) };
+        let steps = grid.counts.map(|count| if count > 1 { most } else { 1 });
+        let all =
+            (0..steps[2]).flat_map(move |z| (0..steps[1]).flat_map(move |y| (0..steps[0]).map(move |x| [x, y, z])));
+        all.map(move |step: [u32; 3]| std::array::from_fn(|axis| origin[axis] + half * step[axis]))
+    }
+}
+
+/// A flag for every cell of the levels 1 and up.
+#[derive(Debug, Clone)]
+struct Tree {
+    counts: [u32; 3],
+    levels: u32,
+    flags: Vec<Vec<bool>>,
+}
+
+impl Tree {
+    fn new(counts: [u32; 3], levels: u32) -> Tree {
+        let mut tree = Tree { counts, levels, flags: Vec::new() };
+        tree.flags =
+            (1..=levels).map(|level| vec![false; tree.extent(level).iter().map(|n| *n as usize).product()]).collect();
+        tree
+    }
+
+    /// Cells per axis.
+    fn extent(&self, level: u32) -> [u32; 3] {
+        self.counts.map(|count| ((count - 1) >> level).max(1))
+    }
+
+    fn place(&self, Cell { level, index: [x, y, z] }: Cell) -> usize {
+        let [nx, ny, _] = self.extent(level).map(|n| n as usize);
+        x as usize + nx * (y as usize + ny * z as usize)
+    }
+
+    fn is_refined(&self, cell: Cell) -> bool {
+        cell.level > 0 && self.flags[cell.level as usize - 1][self.place(cell)]
+    }
+
+    fn set(&mut self, cell: Cell, flag: bool) {
+        let place = self.place(cell);
+        self.flags[cell.level as usize - 1][place] = flag;
+    }
+
+    /// No cell is refined.
+    fn is_whole(&self) -> bool {
+        self.flags.iter().flatten().all(|flag| !flag)
+    }
+
+    /// All cells of a level.
+    fn cells_of(&self, level: u32) -> Vec<Cell> {
+        let [nx, ny, nz] = self.extent(level);
+        let places = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
+        places.map(|index| Cell { level, index }).collect()
+    }
+
+    /// Refines a cell, and what must be with it: the parents of all cells that touch it. Adds those that were not to `refined`.
+    fn refine(&mut self, cell: Cell, refined: &mut Vec<Cell>) {
+        if self.is_refined(cell) {
+            return;
+        }
+        self.set(cell, true);
+        refined.push(cell);
+        if cell.level == self.levels {
+            return;
+        }
+        let extent = self.extent(cell.level);
+        for step in 0..27 {
+            let near: [i64; 3] = std::array::from_fn(|axis| {
+                i64::from(cell.index[axis]) + i64::from([step % 3, step / 3 % 3, step / 9][axis]) - 1
+            });
+            if (0..3).all(|axis| (0..i64::from(extent[axis])).contains(&near[axis])) {
+                self.refine(Cell { level: cell.level + 1, index: near.map(|n| n as u32 / 2) }, refined);
+            }
+        }
+    }
+}
+
+/// A bake in progress.
+struct Refiner<'a, F> {
+    grid: &'a Grid,
+    nodes: Nodes,
+    tree: Tree,
+    /// Cells that triangles reach into.
+    occupied: Tree,
+    tolerance: f64,
+    function: &'a F,
+    settings: &'a BakeSettings,
+    control: &'a Control<'a>,
+    /// All that was baked, whether it is a node or not, in the order in which it was.
+    batch: Option<Batch>,
+    /// Where in it a place of the grid is.
+    known: HashMap<u32, u32>,
+    /// Traced to see what stands in cells.
+    rays: u64,
+}
+
+impl<'a, F: RadianceFunction> Refiner<'a, F> {
+    fn new(
+        grid: &'a Grid,
+        levels: u32,
+        tolerance: f64,
+        function: &'a F,
+        settings: &'a BakeSettings,
+        control: &'a Control,
+    ) -> Refiner<'a, F> {
+        Refiner {
+            grid,
+            nodes: Nodes::Grid(*grid),
+            tree: Tree::new(grid.counts, levels),
+            occupied: occupied(grid, levels, function),
+            tolerance,
+            function,
+            settings,
+            control,
+            batch: None,
+            known: HashMap::new(),
+            rays: 0,
+        }
+    }
+
+    fn bricks(&self) -> Bricks {
+        Bricks::new(self.grid.counts, self.tree.levels, |level, index| self.tree.is_refined(Cell { level, index }))
+    }
+
+    fn batch(&self) -> &Batch {
+        self.batch.as_ref().expect("the first round has baked")
+    }
+
+    /// Bakes the corners of cells that are nodes, and the middles of those that could be divided.
+    fn bake_places_of(&mut self, cells: &[Cell]) -> Result<(), Interrupted> {
+        let Tree { counts, levels, .. } = self.tree;
+        let is_refined = |level, index| self.tree.is_refined(Cell { level, index });
+        let mut wanted = Vec::new();
+        for cell in cells {
+            let middle = self.middle(*cell);
+            let is_wanted =
+                |place: &[u32; 3]| (cell.level > 0 && *place == middle) || is_node(counts, levels, *place, is_refined);
+            wanted.extend(cell.places(self.grid).filter(is_wanted).map(|place| self.grid.index_of(place)));
+        }
+        wanted.sort_unstable();
+        wanted.dedup();
+        self.bake_missing(wanted)
+    }
+
+    /// Bakes those of these places that were not.
+    fn bake_missing(&mut self, mut places: Vec<u32>) -> Result<(), Interrupted> {
+        places.retain(|place| !self.known.contains_key(place));
+        if places.is_empty() {
+            return Ok(());
+        }
+        let first = self.known.len() as u32;
+        self.known.extend(places.iter().zip(first..).map(|(place, slot)| (*place, slot)));
+        let median = self.batch.as_ref().map(|batch| batch.median);
+        let Refiner { nodes, function, settings, control, .. } = self;
+        let more = Batch::sample(nodes, places, median, *function, settings, control)?;
+        match &mut self.batch {
+            None => self.batch = Some(more),
+            Some(batch) => batch.append(more),
+        }
+        Ok(())
+    }
+
+    fn middle(&self, cell: Cell) -> [u32; 3] {
+        let half = 1 << cell.level >> 1;
+        let origin = cell.origin();
+        std::array::from_fn(|axis| origin[axis] + if self.grid.counts[axis] > 1 { half } else { 0 })
+    }
+
+    fn is_open(&self, place: [u32; 3]) -> Option<bool> {
+        let slot = self.known.get(&self.grid.index_of(place))?;
+        Some(self.batch().sites.standing[*slot as usize] == Standing::Open)
+    }
+
+    /// The cells that have to be divided.
+    fn divided(&mut self, bricks: &Bricks, cells: &[Cell]) -> Result<Vec<Cell>, Interrupted> {
+        let coarse: Vec<Cell> = cells.iter().copied().filter(|cell| cell.level > 0).collect();
+        let is_cut = |level: &mut Level, cell: &Cell| {
+            if self.control.cancelled() {
+                return Err(Interrupted);
+            }
+            let cut = self.occupied.is_refined(*cell) && self.is_cut(level, *cell);
+            Ok((cut || self.is_off(bricks, *cell), level.take_rays()))
+        };
+        let found: Result<Vec<(bool, u64)>, Interrupted> =
+            coarse.par_iter().map_init(|| self.function.level(), is_cut).collect();
+        let found = found?;
+        let rays = found.iter().map(|(_, rays)| rays).sum();
+        (self.control.progress)(0, rays);
+        self.rays += rays;
+        let (divided, whole): (Vec<_>, Vec<_>) = coarse.into_iter().zip(found).partition(|(_, (divided, _))| *divided);
+        let mut divided: Vec<Cell> = divided.into_iter().map(|(cell, _)| cell).collect();
+        divided.extend(self.with_gaps(whole.into_iter().map(|(cell, _)| cell))?);
+        Ok(divided)
+    }
+
+    /// Those of these cells in a solid, for all that is known, with a place in the open that would be a node if they were divided: a
+    /// narrow corridor, say. Of larger ones all that hold triangles have been divided.
+    fn with_gaps(&mut self, cells: impl Iterator<Item = Cell>) -> Result<Vec<Cell>, Interrupted> {
+        let is_buried = |cell: &Cell| {
+            let is_known_open = |place| self.is_open(place) == Some(true);
+            cell.level == 1 && self.occupied.is_refined(*cell) && !cell.places(self.grid).any(is_known_open)
+        };
+        let buried: Vec<Cell> = cells.filter(is_buried).collect();
+        let places = |cell: &Cell| cell.places(self.grid).map(|place| self.grid.index_of(place)).collect::<Vec<u32>>();
+        let mut unknown: Vec<u32> = buried.iter().flat_map(places).filter(|p| !self.known.contains_key(p)).collect();
+        unknown.sort_unstable();
+        unknown.dedup();
+        let sites = Sites::find(&self.nodes, unknown, self.function, self.control)?;
+        (self.control.progress)(0, sites.rays);
+        let is_open = |place: &u32| {
+            let found = sites.numbers.binary_search(place);
+            found.is_ok_and(|found| sites.standing[found] == Standing::Open)
+        };
+        let with_gaps = buried.into_iter().filter(|cell| places(cell).iter().any(is_open)).collect();
+        self.rays += sites.rays;
+        Ok(with_gaps)
+    }
+
+    /// Triangles in a cell stand between some of its corners and middle, or are those of a solid that some are in.
+    fn is_cut(&self, level: &Level, cell: Cell) -> bool {
+        let half = 1 << cell.level >> 1;
+        let origin = cell.origin();
+        let middle = self.middle(cell);
+        let is_own =
+            |place: &[u32; 3]| *place == middle || (0..3).all(|axis| (place[axis] - origin[axis]) % (2 * half) == 0);
+        let sites = &self.batch().sites;
+        let mut places = Vec::new();
+        let mut hidden = 0;
+        for place in cell.places(self.grid).filter(is_own) {
+            let index = self.grid.index_of(place);
+            match self.known.get(&index) {
+                Some(&slot) if sites.standing[slot as usize] == Standing::Open => {
+                    places.push(sites.place(slot, &self.nodes, self.function));
+                }
+                Some(_) => hidden += 1,
+                // A corner that is no node.
+                None => places.push(self.nodes.ray_origin(index as usize, self.function.frame())),
+            }
+        }
+        if hidden > 0 {
+            // All of them: a solid's inside, for all that is known. Of larger cells that is not enough.
+            return cell.level > 1 || !places.is_empty();
+        }
+        (0..places.len()).any(|a| (0..a).any(|b| places[a] != places[b] && !level.is_clear(places[a], places[b])))
+    }
+
+    /// What the corners say in the middle of a cell is not what was baked there.
+    fn is_off(&self, bricks: &Bricks, cell: Cell) -> bool {
+        let Batch { sites, sampled, median } = self.batch();
+        let Some(&middle) = self.known.get(&self.grid.index_of(self.middle(cell))) else { return false };
+        if sites.standing[middle as usize] != Standing::Open {
+            return false;
+        }
+        let corners = bricks.corners(Leaf { origin: cell.origin(), level: cell.level });
+        let weights = self.grid.counts.map(|count| if count > 1 { [0.5, 0.5] } else { [1.0, 0.0] });
+        let mut weights: [f32; 8] = std::array::from_fn(|k| (0..3).map(|axis| weights[axis][k >> axis & 1]).product());
+        corners.spread(&mut weights);
+        let (mut sum, mut total, mut variance): (Irradiance, f32, f64) = ([0.0; 27], 0.0, 0.0);
+        for (node, weight) in corners.nodes.iter().zip(weights) {
+            let slot = self.known[&self.grid.index_of(bricks.place_of(*node as usize))] as usize;
+            if sites.standing[slot] == Standing::Open {
+                let light = irradiance_of(sampled.node(slot, self.settings));
+                sum.iter_mut().zip(light).for_each(|(sum, light)| *sum += weight * light);
+                total += weight;
+                variance += (f64::from(weight) * sampled.estimates[slot].standard_error).powi(2);
+            }
+        }
+        if total < 1e-6 {
+            return true;
+        }
+        let there = irradiance_of(sampled.node(middle as usize, self.settings));
+        let difference: Irradiance = std::array::from_fn(|i| sum[i] / total - there[i]);
+        let estimate = &sampled.estimates[middle as usize];
+        let variance = variance / f64::from(total).powi(2) + estimate.standard_error.powi(2);
+        let allowed = self.tolerance * estimate.rms_irradiance.max(0.1 * median);
+        root_mean_square(&difference).powi(2) > allowed.powi(2) + NOISE * variance
+    }
+
+    /// Everything in the open is lit alike, and there is no surface.
+    fn is_even(&self) -> bool {
+        let Batch { sites, sampled, median } = self.batch();
+        let open = || (0..sites.standing.len()).filter(|slot| sites.standing[*slot] == Standing::Open);
+        let count = open().count() as f32;
+        if count == 0.0 || !self.occupied.is_whole() {
+            return false;
+        }
+        let mut mean = [0.0; 27];
+        for slot in open() {
+            let light = irradiance_of(sampled.node(slot, self.settings));
+            mean.iter_mut().zip(light).for_each(|(mean, light)| *mean += light / count);
+        }
+        open().all(|slot| {
+            let light = irradiance_of(sampled.node(slot, self.settings));
+            let difference: Irradiance = std::array::from_fn(|i| light[i] - mean[i]);
+            let estimate = &sampled.estimates[slot];
+            let allowed = self.tolerance * estimate.rms_irradiance.max(0.1 * median);
+            root_mean_square(&difference).powi(2) <= allowed.powi(2) + NOISE * estimate.standard_error.powi(2)
+        })
+    }
+
+    /// Puts cells together again in which nothing is in the open.
+    fn merge_solid(&mut self) {
+        for level in 1..=self.tree.levels {
+            let is_buried = |cell: &Cell| {
+                self.tree.is_refined(*cell)
+                    && cell.children(self.grid).all(|child| !self.tree.is_refined(child))
+                    && cell.places(self.grid).all(|place| self.is_open(place) != Some(true))
+            };
+            let buried: Vec<Cell> = self.tree.cells_of(level).into_par_iter().filter(is_buried).collect();
+            let mut kept = self.tree.clone();
+            buried.iter().for_each(|cell| kept.set(*cell, false));
+            // What touches smaller cells is needed nevertheless.
+            let mut tree = Tree::new(self.grid.counts, self.tree.levels);
+            for level in 1..=tree.levels {
+                for cell in kept.cells_of(level).into_iter().filter(|cell| kept.is_refined(*cell)) {
+                    tree.refine(cell, &mut Vec::new());
+                }
+            }
+            self.tree = tree;
+        }
+    }
+
+    /// One node says it all.
+    fn one_node(self) -> Result<(Nodes, Baked, Option<SparseRecord>), Interrupted> {
+        let nodes = Nodes::Grid(Grid { counts: [1; 3], ..*self.grid });
+        let mut baked = bake(&nodes, self.function, self.settings, self.control)?;
+        let batch = self.batch();
+        baked.rays += batch.sites.rays + batch.sampled.rays;
+        baked.samples += batch.sampled.samples;
+        let bricks = self.bricks();
+        let mut record = self.check(&nodes, &mut baked, &bricks)?;
+        record.levels.iter_mut().for_each(|level| level.cells = 0);
+        Ok((nodes, baked, Some(record)))
+    }
+
+    /// The volume of these nodes, all of which are baked.
+    fn finish(mut self, nodes: Nodes, bricks: &Bricks) -> Result<(Nodes, Baked, Option<SparseRecord>), Interrupted> {
+        let index_of = |node: usize| match &nodes {
+            Nodes::Sparse(sparse) => sparse.index_of(node),
+            _ => node as u32,
+        };
+        // Merged cells may have corners where there were none: those are in a solid, too.
+        self.bake_missing((0..nodes.len()).map(index_of).collect())?;
+        let slots: Vec<u32> = (0..nodes.len()).map(|node| self.known[&index_of(node)]).collect();
+        let batch = self.batch().selected(&slots, self.settings);
+        let mut baked = finish(&nodes, self.function, self.settings, self.control, batch)?;
+        baked.rays += self.rays;
+        let record = self.check(&nodes, &mut baked, bricks)?;
+        Ok((nodes, baked, Some(record)))
+    }
+
+    /// Compares what the volume answers with what was baked and is no node: the middles of cells that could have been divided, and those
+    /// of some of the finest, which are baked for it.
+    fn check(&self, nodes: &Nodes, baked: &mut Baked, bricks: &Bricks) -> Result<SparseRecord, Interrupted> {
+        let volume = volume_of(nodes, baked);
+        let leaves: Vec<Leaf> = bricks.leaves().collect();
+        let finest: Vec<Leaf> = leaves.iter().copied().filter(|leaf| leaf.level == 0).collect();
+        let most = (volume.node_count() / CHECKED_SHARE).min(MOST_CHECKED);
+        let every = finest.len().div_ceil(most.max(1)).max(1);
+        let middle = |leaf: &Leaf| {
+            let [low, high] = [0, 7].map(|corner| DVec3::from(self.grid.place_position(bricks.corner(*leaf, corner))));
+            (low + high) / 2.0
+        };
+        let places: Vec<DVec3> = finest.iter().skip(every / 2).step_by(every).take(most).map(middle).collect();
+        let places = Nodes::Points(places);
+        let median = &self.batch().median;
+        let numbers = (0..places.len() as u32).collect();
+        let checks = Batch::sample(&places, numbers, Some(*median), self.function, self.settings, self.control)?;
+        baked.rays += checks.sites.rays + checks.sampled.rays;
+        baked.samples += checks.sampled.samples;
+
+        let mut levels = vec![(0, Vec::new()); self.tree.levels as usize + 1];
+        let error = |Batch { sites, sampled, .. }: &Batch, slot: usize, position: [f64; 3]| {
+            let light = irradiance_of(sampled.node(slot, self.settings));
+            (sites.standing[slot] == Standing::Open).then(|| error_at(&volume, position, &light, *median)).flatten()
+        };
+        for leaf in &leaves {
+            let (cells, errors) = &mut levels[leaf.level as usize];
+            *cells += 1;
+            if leaf.level > 0 {
+                let middle = bricks.middle(leaf.level, leaf.origin);
+                let slot = self.known.get(&self.grid.index_of(middle));
+                let position = self.grid.place_position(middle);
+                errors.extend(slot.and_then(|slot| error(self.batch(), *slot as usize, position)));
+            }
+        }
+        levels[0].1.extend((0..places.len()).filter_map(|slot| error(&checks, slot, places.position(slot).into())));
+        let levels = levels.into_iter().map(|(cells, errors)| SparseLevel {
+            cells,
+            checked: errors.len() as u64,
+            error: ErrorSummary::of(errors.into_iter()),
+        });
+        let places = self.grid.node_count() as u64;
+        Ok(SparseRecord { tolerance: self.tolerance, places, levels: levels.collect() })
+    }
+}
+
+/// The relative error of a volume at a place where light was baked; `None` where it has none of its own.
+fn error_at(volume: &Volume, position: [f64; 3], light: &Irradiance, median: f64) -> Option<f64> {
+    let sample = volume.sample_f64(position, [0.0; 3]);
+    let found = irradiance_of(sample.sh.coefficients.as_flattened());
+    let difference: Irradiance = std::array::from_fn(|i| found[i] - light[i]);
+    let scale = root_mean_square(light).max(0.1 * median);
+    (sample.validity > 0.0 && scale > 0.0).then(|| root_mean_square(&difference) / scale)
+}
+
+/// Of irradiance, over all normals and channels.
+fn root_mean_square(irradiance: &Irradiance) -> f64 {
+    strength(irradiance) / (12.0 * std::f64::consts::PI).sqrt()
+}
+
+/// Cells of the levels 1 and up that triangles reach into.
+fn occupied(grid: &Grid, levels: u32, function: &impl RadianceFunction) -> Tree {
+    let mut tree = Tree::new(grid.counts, levels);
+    let frame = function.frame();
+    let coarsest = tree.extent(levels);
+    let box_of = |cell: Cell| {
+        let end =
+            std::array::from_fn(|axis| cell.origin()[axis] + if grid.counts[axis] > 1 { 1 << cell.level } else { 0 });
+        let corner = |place| frame.to_trace(DVec3::from(grid.place_position(place)));
+        let (low, high) = (corner(cell.origin()), corner(end));
+        // A flat axis is all of the grid's box.
+        let is_flat = |axis: usize| grid.counts[axis] == 1;
+        let (min, max) = (frame.to_trace(grid.min.into()), frame.to_trace(grid.max.into()));
+        let low = Vec3::from_array(std::array::from_fn(|axis| if is_flat(axis) { min[axis] } else { low[axis] }));
+        let high = Vec3::from_array(std::array::from_fn(|axis| if is_flat(axis) { max[axis] } else { high[axis] }));
+        ((low + high) / 2.0, (high - low) / 2.0)
+    };
+    let spacing = grid.spacing();
+    let level = function.level();
+    let mut stack = Vec::new();
+    for triangle in level.triangles() {
+        let [a, b, c] = triangle.map(|corner| frame.to_world(corner));
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        let cell_at = |position: DVec3, axis: usize| match spacing[axis] > 0.0 {
+            true => (position[axis] - grid.min[axis]) / (spacing[axis] * f64::from(1 << levels)),
+            false => 0.0,
+        };
+        let range = |axis: usize| {
+            let (first, last) = (cell_at(low, axis).floor(), cell_at(high, axis).floor());
+            // Casts saturate.
+            first.max(0.0) as u32..(last.min(f64::from(coarsest[axis]) - 1.0) + 1.0) as u32
+        };
+        for z in range(2) {
+            for y in range(1) {
+                stack.extend(range(0).map(|x| Cell { level: levels, index: [x, y, z] }));
+            }
+        }
+        while let Some(cell) = stack.pop() {
+            let (middle, half) = box_of(cell);
+            if overlaps(triangle.map(|corner| corner - middle), half * WITHIN) {
+                tree.set(cell, true);
+                if cell.level > 1 {
+                    stack.extend(cell.children(grid));
+                }
+            }
+        }
+    }
+    tree
+}
+
+/// Whether a triangle reaches into a box around the origin. Based on: Akenine-Möller, "Fast 3D Triangle-Box Overlap Testing",
+/// 2001: no axis separates them.
+fn overlaps(triangle: [Vec3; 3], half: Vec3) -> bool {
+    let [a, b, c] = triangle;
+    let edges = [b - a, c - b, a - c];
+    let separates = |axis: Vec3| {
+        let [a, b, c] = triangle.map(|corner| corner.dot(axis));
+        let reach = half.dot(axis.abs());
+        a.min(b).min(c) > reach || a.max(b).max(c) < -reach
+    };
+    let units = [Vec3::X, Vec3::Y, Vec3::Z];
+    !(units.into_iter().any(separates)
+        || separates(edges[0].cross(edges[1]))
+        || units.iter().any(|unit| edges.iter().any(|edge| separates(unit.cross(*edge)))))
+}

@@ -89,7 +89,7 @@ fn main() {
         full.valid_nodes().count(),
         full.rays as f64 / 1e6
     );
-    println!("| tolerance | nodes | directions | time | bytes | added: median, 95 % | error | of the dense grid |");
+    println!("| tolerance | nodes | rays | time | bytes | added: median, 95 % | error | of the dense grid |");
     println!("|---|---|---|---|---|---|---|---|");
     for tolerance in tolerances {
         let started = Instant::now();
@@ -103,7 +103,7 @@ fn main() {
             "| {} | {} | {} | {} | {} | {} | {} | {dense_error} |",
             share(tolerance, 1.0),
             share(sparse_nodes.len() as f64, nodes.len() as f64),
-            share(baked.samples as f64, full.samples as f64),
+            share(baked.rays as f64, full.rays as f64),
             share(seconds, full_seconds),
             share(bytes(&sparse_nodes, &baked) as f64, bytes(&nodes, &full) as f64),
             errors(&|place| at(&sparse, place), &|place| at(&dense, place)),

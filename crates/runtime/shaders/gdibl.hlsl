@@ -1,10 +1,10 @@
-// Samples a gdibl irradiance volume (a grid): irradiance at a position, trilinear between nodes, with validity and walls.
+// Samples a gdibl irradiance volume (a grid, sparse or not): irradiance at a position, trilinear between nodes, with validity and walls.
 //
 //     float3 irradiance = gdibl_irradiance(world_position - volume_min, normal);
 //     float3 diffuse = albedo / 3.14159265 * max(irradiance, 0.0);    // here is the 1/pi
 //
 // Include this file, and upload what `Volume::gpu_buffers` of the crate gdibl-runtime returns. The same in WGSL and GLSL
-// lies beside it. What it computes is said in FORMAT.md, "Light at a position", "Walls" and "From coefficients to
+// lies beside it. What it computes is said in FORMAT.md, "Light at a position", "Sparse grids", "Walls" and "From coefficients to
 // irradiance"; the CPU's twin is src/sample.rs, and a test compares the two.
 //
 // position  metres, RELATIVE TO THE BOX'S MIN, so that a float is enough however far the level is from the origin: subtract
@@ -29,21 +29,23 @@
 cbuffer GdiblVolume : register(GDIBL_VOLUME) {
     float3 gdibl_nodes_per_metre; // per axis; 0 on an axis with one node: nothing varies along it
     float gdibl_scale;            // coefficient = f16 * scale
-    uint3 gdibl_counts;           // nodes per axis; node (x, y, z) is x + counts.x * (y + counts.y * z)
+    uint3 gdibl_counts;           // nodes per axis; node (x, y, z) is x + counts.x * (y + counts.y * z). Of a sparse grid places
     uint gdibl_bands;             // 0, 1, 2: 1, 4, 9 coefficients per channel
     float3 gdibl_extent;          // max - min of the box, metres
     float gdibl_bias;             // metres along the normal: a surface in a wall's plane falls to the side that it faces
     uint gdibl_marked;            // 0: every node is valid and there are no walls
-    uint gdibl_zero_0;
-    uint gdibl_zero_1;
-    uint gdibl_zero_2;
+    uint gdibl_levels;            // 0: a grid. Else a sparse one, its largest cells 2^levels places wide
+    uint gdibl_valid_at;          // sparse: where in gdibl_marks the bits of valid nodes begin
+    uint gdibl_zero;
 };
 
 // Radiance coefficients as pairs of f16, 2, 6 or 14 words per node: red, green, blue of coefficient 0, then of 1, ...
 StructuredBuffer<uint> gdibl_coefficients : register(GDIBL_COEFFICIENTS);
 
-// 3 words per 32 nodes: bits of valid nodes; bits of nodes which are the lowest corner of a cell with walls; where in
+// Grid: 3 words per 32 nodes: bits of valid nodes; bits of nodes which are the lowest corner of a cell with walls; where in
 // gdibl_walls the record of the first of these cells is.
+// Sparse grid: 38 words per brick of 8 x 8 x 8 places: its first node; where the record of its first cell with walls is; the
+// nodes before each z, 16 bits each; 16 words of bits of nodes, two per z; as many of lowest corners of cells with walls.
 StructuredBuffer<uint> gdibl_marks : register(GDIBL_MARKS);
 
 // First the planes: unit normal and distance, as bits of floats. Then the cells:
@@ -54,6 +56,8 @@ StructuredBuffer<uint4> gdibl_walls : register(GDIBL_WALLS);
 // Weights that add up to less than this are those of nobody.
 static const float GDIBL_LEAST = 1e-6;
 static const uint GDIBL_NO_PLANE = 0xffffu;
+// No node, no record.
+static const uint GDIBL_NONE = 0xffffffffu;
 
 float2 gdibl_pair(uint at) {
     uint word = gdibl_coefficients[at];
@@ -120,28 +124,144 @@ void gdibl_shares(uint4 record, float3 position, float weights[8], out float sha
     }
 }
 
+// Where in gdibl_marks the brick that holds a place begins.
+uint gdibl_brick(uint3 place) {
+    uint3 bricks = (gdibl_counts + 7u) >> 3u;
+    uint3 brick = place >> 3u;
+    return 38u * (brick.x + bricks.x * (brick.y + bricks.y * brick.z));
+}
+
+// Which of a brick's words of bits a place is in, and which bit it is.
+uint2 gdibl_bit(uint3 place) {
+    uint3 within = place & 7u;
+    return uint2(2u * within.z + (within.y >> 2u), within.x + 8u * (within.y & 3u));
+}
+
+// The node at a place of a sparse grid.
+uint gdibl_node_at(uint3 place) {
+    uint brick = gdibl_brick(place);
+    uint2 at = gdibl_bit(place);
+    uint bits = gdibl_marks[brick + 6u + at.x];
+    if (((bits >> at.y) & 1u) == 0u) {
+        return GDIBL_NONE;
+    }
+    uint before = gdibl_marks[brick + 2u + (at.x >> 2u)] >> (8u * (at.x & 2u));
+    uint node = gdibl_marks[brick] + (before & 0xffffu) + countbits(bits & ((1u << at.y) - 1u));
+    if ((at.x & 1u) == 1u) {
+        node += countbits(gdibl_marks[brick + 5u + at.x]);
+    }
+    return node;
+}
+
+// The nodes and weights of the cell of a sparse grid that holds `place`, which is in `lowest` of the finest. Returns where
+// its record is if walls go through it.
+uint gdibl_sparse_cell(float3 place, uint3 lowest, out uint nodes[8], out float weights[8]) {
+    uint3 wide = min(gdibl_counts - 1u, uint3(1u, 1u, 1u));
+    uint brick = gdibl_brick(lowest);
+    // From the largest cells downward: a cell is divided if its middle is a node.
+    uint level = gdibl_levels;
+    uint3 origin = (lowest >> level) << level;
+    while (level > 0u) {
+        uint2 at = gdibl_bit(origin + ((1u << level) >> 1u) * wide);
+        if (((gdibl_marks[brick + 6u + at.x] >> at.y) & 1u) == 0u) {
+            break;
+        }
+        level -= 1u;
+        origin = (lowest >> level) << level;
+    }
+    uint width = 1u << level;
+    float3 share = (place - float3(origin)) / float(width);
+    // The corner that is the larger cell's, too.
+    uint3 upper = (origin >> level) & 1u;
+    uint shared_corner = upper.x | (upper.y << 1u) | (upper.z << 2u);
+    // A corner that is no node lies in the middle of the larger cell's edge or face: its far end takes the place.
+    uint hanging = 0u;
+    [unroll] for (int k = 0; k < 8; k++) {
+        uint3 high = uint3(uint(k) & 1u, (uint(k) >> 1u) & 1u, uint(k) >> 2u);
+        float3 along = lerp(1.0 - share, share, float3(high));
+        weights[k] = along.x * along.y * along.z;
+        uint3 corner = origin + width * high * wide;
+        uint node = gdibl_node_at(corner);
+        if (node == GDIBL_NONE) {
+            hanging |= 1u << uint(k);
+            // One step up from the lower half, one step down from the upper; none on the other axes.
+            uint3 middle = (corner >> level) & 1u;
+            node = gdibl_node_at(corner + width * middle * (1u - upper) - width * middle * upper);
+        }
+        nodes[k] = node;
+    }
+    // Edges: half of the weight stays, half is that of the shared corner.
+    [unroll] for (uint axis = 0u; axis < 3u; axis++) {
+        uint k = shared_corner ^ (1u << axis);
+        if (((hanging >> k) & 1u) == 1u) {
+            weights[k] *= 0.5;
+            weights[shared_corner] += weights[k];
+        }
+    }
+    // Faces, across each axis: a quarter stays, a quarter each is that of the others in the larger cell's face.
+    [unroll] for (uint axis = 0u; axis < 3u; axis++) {
+        uint one = 1u << ((axis + 1u) % 3u);
+        uint two = 1u << ((axis + 2u) % 3u);
+        uint k = shared_corner ^ one ^ two;
+        if (((hanging >> k) & 1u) == 1u) {
+            weights[k] *= 0.25;
+            weights[shared_corner] += weights[k];
+            weights[shared_corner ^ one] += weights[k];
+            weights[shared_corner ^ two] += weights[k];
+        }
+    }
+    uint2 at = gdibl_bit(origin);
+    uint walled = gdibl_marks[brick + 22u + at.x];
+    if (((walled >> at.y) & 1u) == 0u) {
+        return GDIBL_NONE;
+    }
+    uint record = gdibl_marks[brick + 1u] + countbits(walled & ((1u << at.y) - 1u));
+    for (uint word = 0u; word < at.x; word++) {
+        record += countbits(gdibl_marks[brick + 22u + word]);
+    }
+    return record;
+}
+
+float gdibl_is_valid(uint node) {
+    uint word = gdibl_levels > 0u ? gdibl_valid_at + (node >> 5u) : 3u * (node >> 5u);
+    return float((gdibl_marks[word] >> (node & 31u)) & 1u);
+}
+
 float3 gdibl_irradiance(float3 position, float3 normal) {
     uint3 counts = gdibl_counts;
     // The position in units of nodes, held within the grid; the cell around it, and the share of its higher nodes.
     float3 biased = position + gdibl_bias * normal;
     float3 place = clamp(biased * gdibl_nodes_per_metre, float3(0.0, 0.0, 0.0), float3(counts - 1u));
     uint3 lowest = min(uint3(place), max(counts, uint3(2u, 2u, 2u)) - 2u);
-    float3 share = place - float3(lowest);
-
-    // Corner k is the higher one in x, y, z where bit 0, 1, 2 of k is set. With one node on an axis both are the same.
-    uint3 steps = uint3(
-        counts.x > 1u ? 1u : 0u,
-        counts.y > 1u ? counts.x : 0u,
-        counts.z > 1u ? counts.x * counts.y : 0u
-    );
-    uint first = lowest.x + counts.x * (lowest.y + counts.y * lowest.z);
     uint nodes[8];
     float weights[8];
-    [unroll] for (int k = 0; k < 8; k++) {
-        uint3 high = uint3(uint(k) & 1u, (uint(k) >> 1u) & 1u, uint(k) >> 2u);
-        float3 along = lerp(1.0 - share, share, float3(high));
-        nodes[k] = first + high.x * steps.x + high.y * steps.y + high.z * steps.z;
-        weights[k] = along.x * along.y * along.z;
+    // Of the cell's walls, in gdibl_walls.
+    uint record_at = GDIBL_NONE;
+    if (gdibl_levels > 0u) {
+        record_at = gdibl_sparse_cell(place, lowest, nodes, weights);
+    } else {
+        // Corner k is the higher one in x, y, z where bit 0, 1, 2 of k is set. With one node on an axis both are the same.
+        float3 share = place - float3(lowest);
+        uint3 steps = uint3(
+            counts.x > 1u ? 1u : 0u,
+            counts.y > 1u ? counts.x : 0u,
+            counts.z > 1u ? counts.x * counts.y : 0u
+        );
+        uint first = lowest.x + counts.x * (lowest.y + counts.y * lowest.z);
+        [unroll] for (int k = 0; k < 8; k++) {
+            uint3 high = uint3(uint(k) & 1u, (uint(k) >> 1u) & 1u, uint(k) >> 2u);
+            float3 along = lerp(1.0 - share, share, float3(high));
+            nodes[k] = first + high.x * steps.x + high.y * steps.y + high.z * steps.z;
+            weights[k] = along.x * along.y * along.z;
+        }
+        if (gdibl_marked != 0u) {
+            uint block = 3u * (first >> 5u);
+            uint walled = gdibl_marks[block + 1u];
+            uint bit = 1u << (first & 31u);
+            if ((walled & bit) != 0u) {
+                record_at = gdibl_marks[block + 2u] + countbits(walled & (bit - 1u));
+            }
+        }
     }
 
     if (gdibl_marked != 0u) {
@@ -149,20 +269,15 @@ float3 gdibl_irradiance(float3 position, float3 normal) {
         float valid[8];
         float valid_sum = 0.0;
         [unroll] for (int k = 0; k < 8; k++) {
-            uint bits = gdibl_marks[3u * (nodes[k] >> 5u)];
-            valid[k] = weights[k] * float((bits >> (nodes[k] & 31u)) & 1u);
+            valid[k] = weights[k] * gdibl_is_valid(nodes[k]);
             valid_sum += valid[k];
         }
         // Of those, what is seen from here.
         float seen[8];
         float seen_sum = 0.0;
-        uint block = 3u * (first >> 5u);
-        uint walled = gdibl_marks[block + 1u];
-        uint bit = 1u << (first & 31u);
-        if ((walled & bit) != 0u) {
-            uint4 record = gdibl_walls[gdibl_marks[block + 2u] + countbits(walled & (bit - 1u))];
+        if (record_at != GDIBL_NONE) {
             float3 held = clamp(biased, float3(0.0, 0.0, 0.0), gdibl_extent);
-            gdibl_shares(record, held, weights, seen);
+            gdibl_shares(gdibl_walls[record_at], held, weights, seen);
             [unroll] for (int k = 0; k < 8; k++) {
                 seen[k] *= valid[k];
                 seen_sum += seen[k];

@@ -17,8 +17,10 @@
 //! *bricks* of 8 × 8 × 8 places: a lookup costs the same in any level, however large. Nodes are numbered brick by brick.
 
 use crate::grid::{Cell, box_contains, trilinear};
+use crate::walls::WallCell;
 use crate::{Error, Grid};
 use alloc::format;
+use alloc::vec;
 use alloc::vec::Vec;
 use core::array;
 
@@ -26,6 +28,8 @@ use core::array;
 pub const BRICK: u32 = 8;
 /// The coarsest cells may be 2 to this power cells of the grid wide: as wide as a brick.
 pub const MAX_LEVELS: u32 = 3;
+/// Words of a brick for shaders.
+const WORDS: usize = 38;
 /// Bytes of a brick's bits in a file.
 const MASK_SIZE: usize = 64;
 
@@ -185,9 +189,14 @@ impl Bricks {
 
     #[inline]
     fn brick(&self, place: [u32; 3]) -> &Brick {
+        &self.bricks[self.brick_index(place)]
+    }
+
+    #[inline]
+    fn brick_index(&self, place: [u32; 3]) -> usize {
         let [x, y, z] = place.map(|p| (p / BRICK) as usize);
         let [nx, ny, _] = self.extent.map(|n| n as usize);
-        &self.bricks[x + nx * (y + ny * z)]
+        x + nx * (y + ny * z)
     }
 
     /// The number of the node at a place of the grid; None where none is.
@@ -304,6 +313,35 @@ impl Bricks {
         Cell { nodes, weights, inside: box_contains(grid.min, grid.max, position) }
     }
 
+    /// 38 words per brick for shaders, see [`gpu`](crate::gpu). `first` is where the record of the first cell with walls will be; there
+    /// the records have to be in the order of [`Bricks::order`].
+    pub(crate) fn packed(&self, grid: &Grid, walled: &[WallCell], first: u32) -> Vec<u32> {
+        let mut words = Vec::with_capacity(self.bricks.len() * WORDS);
+        let mut walls = vec![[0u64; BRICK as usize]; self.bricks.len()];
+        for cell in walled {
+            let place = grid.place_of(cell.cell);
+            let (slice, bit) = Brick::bit(place);
+            walls[self.brick_index(place)][slice] |= 1 << bit;
+        }
+        let mut record = first;
+        for (brick, walls) in self.bricks.iter().zip(&walls) {
+            words.extend([brick.first, record]);
+            words.extend(brick.before.chunks(2).map(|pair| u32::from(pair[0]) | u32::from(pair[1]) << 16));
+            for slices in [&brick.slices, walls] {
+                words.extend(slices.iter().flat_map(|slice| [*slice as u32, (*slice >> 32) as u32]));
+            }
+            record += walls.iter().map(|slice| slice.count_ones()).sum::<u32>();
+        }
+        words
+    }
+
+    /// What to sort cells by, so that they go brick by brick as nodes do.
+    pub(crate) fn order(&self, grid: &Grid, cell: u32) -> (usize, usize, u32) {
+        let place = grid.place_of(cell);
+        let (slice, bit) = Brick::bit(place);
+        (self.brick_index(place), slice, bit)
+    }
+
     /// Section `BRIK`'s bytes, see FORMAT.md.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -393,9 +431,7 @@ impl Bricks {
                     (0..=last).contains(&beyond[axis])
                 });
                 if is_cell && self.leaf(beyond.map(|p| p as u32)).level > leaf.level + 1 {
-                    let [x, y, z] = leaf.origin.map(|p| (p / BRICK) as usize);
-                    let [nx, ny, _] = self.extent.map(|n| n as usize);
-                    return wrong(x + nx * (y + ny * z), "cells that touch to differ by one level at most");
+                    return wrong(self.brick_index(leaf.origin), "cells that touch to differ by one level at most");
                 }
             }
         }

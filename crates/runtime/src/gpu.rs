@@ -1,4 +1,4 @@
-//! A grid volume as the buffers that `shaders/gdibl.wgsl`, `gdibl.glsl` and `gdibl.hlsl` sample.
+//! A grid, sparse or not, as the buffers that `shaders/gdibl.wgsl`, `gdibl.glsl` and `gdibl.hlsl` sample.
 //!
 //! Upload the four once; the shaders' `gdibl_irradiance(position, normal)` then gives per pixel what
 //! [`Volume::irradiance`] gives. All numbers are little-endian; a word is a u32.
@@ -7,18 +7,27 @@
 //! header        64 bytes, a uniform buffer
 //!    0   f32 × 3  nodes_per_metre   (count - 1) / (max - min) per axis; 0 on an axis with one node
 //!   12   f32      scale             coefficient = f16 × scale
-//!   16   u32 × 3  counts            nodes per axis
+//!   16   u32 × 3  counts            nodes per axis; of a sparse grid places
 //!   28   u32      bands             0 to 2
 //!   32   f32 × 3  extent            max - min, metres
 //!   44   f32      bias              metres along the normal before anything is looked up; 0 without walls
-//!   48   u32      marked            0: every node is valid and no cell has a wall, `marks` is of no meaning
-//!   52            zeros
+//!   48   u32      marked            0: every node is valid and no cell has a wall
+//!   52   u32      levels            0: a grid. Else a sparse one, its largest cells 2^levels places wide
+//!   56   u32      valid_at          sparse: the first word in `marks` of the bits of valid nodes
+//!   60            zeros
 //! coefficients  2, 6 or 14 words per node (L0, L1, L2): f16 × 3 per coefficient, red green blue, coefficient by
 //!               coefficient, two to a word, the first in the lower half; 0 after the last where their number is odd
-//! marks         3 words per 32 nodes. For node n those at 3 (n / 32), and bit n % 32 of them:
+//! marks         grid: 3 words per 32 nodes; without meaning if nothing is marked. For node n those at 3 (n / 32), and bit n % 32 of them:
 //!      word 0   1: valid
 //!      word 1   1: walls go through the cell of which n is the lowest corner
 //!      word 2   where in `walls` the record of the first such cell of the 32 is; the others' follow
+//!               sparse grid: 38 words per brick of 8 × 8 × 8 places, x fastest
+//!      word 0   its first node
+//!      word 1   where in `walls` the record of its first cell with walls is; the others' follow
+//!   words 2-5   u16 per z: nodes of the brick before it
+//!   words 6-21  two per z: bit x + 8 (y % 4) of the first where y < 4, else of the second: a node
+//!  words 22-37  the same: walls go through the cell of which it is the lowest place
+//!               then, if anything is marked, one word per 32 nodes: bit n % 32 is set if node n is valid
 //! walls         4 words each. First the planes: f32 × 3 unit normal, f32 distance. Then the cells:
 //!      word 0   u16 × 2 indices of planes in `walls`, the first in the lower half; 65535: none
 //!      word 1   u16 index of the third plane; then the ends, bit 16 + k for corner k
@@ -36,11 +45,12 @@
 //! **Rounding**: f16 files go over bit by bit. An f32 number v is rounded to f16 with a power of two as scale that brings
 //! the volume's largest number to 2¹⁴ and more: off by at most |v| 2⁻¹¹, or the largest's 2⁻³⁹ where that is more.
 
+use crate::bricks::Bricks;
 use crate::half::f32_to_f16;
 use crate::sh::coefficient_count;
 use crate::volume::{Coefficients, VALID, WALLED};
 use crate::walls::{WallCell, Walls};
-use crate::{Error, Header, Kind, Volume};
+use crate::{Error, Grid, Volume};
 use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -71,9 +81,9 @@ impl Volume {
     /// coefficients has no number that fits a u32 (300 million nodes of L2: 17 GB).
     pub fn gpu_buffers(&self) -> Result<GpuBuffers, Error> {
         let header = &self.header;
-        if header.kind != Kind::Grid {
+        let Some(grid) = self.grid() else {
             return Err(Error::unsupported("kind", format!("{:?}", header.kind), "a grid, for shaders"));
-        }
+        };
         let bands = header.bands.min(GPU_BANDS);
         let words = (header.node_count() as u64).saturating_mul(words_per_node(bands) as u64);
         if words > u64::from(u32::MAX) {
@@ -81,21 +91,43 @@ impl Volume {
         }
         let (scale, coefficients) = self.packed_coefficients(bands);
         let (planes, cells) = self.walls.as_ref().map_or((&[][..], &[][..]), Walls::tables);
-        let marks = match &self.marks {
-            Some(marks) => packed_marks(marks, planes.len() as u32),
-            None => vec![0; 3],
+        let is_marked = self.marks.is_some() || self.walls.is_some();
+        let first = planes.len() as u32;
+        let (marks, valid_at) = match (&self.bricks, &self.marks) {
+            (Some(bricks), marks) => {
+                let mut words = bricks.packed(&grid, cells, first);
+                let valid_at = words.len() as u32;
+                if is_marked {
+                    let valid = |block: usize| {
+                        let nodes = BLOCK * block..(BLOCK * (block + 1)).min(self.node_count());
+                        bits(nodes.map(|node| marks.as_ref().is_none_or(|marks| marks[node] & VALID != 0)))
+                    };
+                    words.extend((0..self.node_count().div_ceil(BLOCK)).map(valid));
+                }
+                (words, valid_at)
+            }
+            (None, Some(marks)) => (packed_marks(marks, first), 0),
+            (None, None) => (vec![0; 3], 0),
         };
         let mut walls: Vec<[u32; 4]> = Vec::with_capacity((planes.len() + cells.len()).max(1));
         walls.extend(planes.iter().map(|plane| {
             let [x, y, z] = plane.normal;
             [x, y, z, plane.distance].map(f32::to_bits)
         }));
-        walls.extend(cells.iter().map(packed_cell));
+        match &self.bricks {
+            None => walls.extend(cells.iter().map(packed_cell)),
+            Some(bricks) => {
+                let mut cells = cells.to_vec();
+                cells.sort_by_key(|cell| bricks.order(&grid, cell.cell));
+                walls.extend(cells.iter().map(packed_cell));
+            }
+        }
         if walls.is_empty() {
             walls.push([0; 4]);
         }
         let bias = self.walls.as_ref().map_or(0.0, |walls| walls.bias);
-        let header = header_bytes(header, scale, bands, bias, self.marks.is_some());
+        let levels = self.bricks.as_ref().map_or(0, Bricks::levels);
+        let header = header_bytes(&grid, [bands, u32::from(is_marked), levels, valid_at], [scale, bias]);
         Ok(GpuBuffers { min: self.header.min, header, coefficients, marks, walls })
     }
 
@@ -140,15 +172,17 @@ fn packed_marks(marks: &[u8], first: u32) -> Vec<u32> {
     let mut words = Vec::with_capacity(3 * marks.len().div_ceil(BLOCK));
     let mut record = first;
     for block in marks.chunks(BLOCK) {
-        let bits = |mark: u8| {
-            let set = |(place, found): (usize, &u8)| u32::from(found & mark != 0) << place;
-            block.iter().enumerate().map(set).sum::<u32>()
-        };
-        let walled = bits(WALLED);
-        words.extend([bits(VALID), walled, record]);
+        let having = |mark: u8| bits(block.iter().map(|found| found & mark != 0));
+        let walled = having(WALLED);
+        words.extend([having(VALID), walled, record]);
         record += walled.count_ones();
     }
     words
+}
+
+/// The first bit in the lowest.
+fn bits(flags: impl Iterator<Item = bool>) -> u32 {
+    flags.enumerate().map(|(place, flag)| u32::from(flag) << place).sum()
 }
 
 fn packed_cell(cell: &WallCell) -> [u32; 4] {
@@ -157,15 +191,15 @@ fn packed_cell(cell: &WallCell) -> [u32; 4] {
     [a | b << 16, c | u32::from(cell.ends) << 16, masks(0), masks(4)]
 }
 
-fn header_bytes(header: &Header, scale: f32, bands: u32, bias: f32, marked: bool) -> [u8; 64] {
-    let extent: [f64; 3] = core::array::from_fn(|axis| header.max[axis] - header.min[axis]);
-    let nodes_per_metre = |axis: usize| match header.counts[axis] {
+fn header_bytes(grid: &Grid, [bands, marked, levels, valid_at]: [u32; 4], [scale, bias]: [f32; 2]) -> [u8; 64] {
+    let extent: [f64; 3] = core::array::from_fn(|axis| grid.max[axis] - grid.min[axis]);
+    let nodes_per_metre = |axis: usize| match grid.counts[axis] {
         1 => 0.0,
         // Finite also where the box is flat and has several nodes nevertheless.
         count => (f64::from(count - 1) / extent[axis]).min(f64::from(f32::MAX)) as f32,
     };
     let float = f32::to_bits;
-    let [width, height, depth] = header.counts;
+    let [width, height, depth] = grid.counts;
     let words = [
         float(nodes_per_metre(0)),
         float(nodes_per_metre(1)),
@@ -179,7 +213,9 @@ fn header_bytes(header: &Header, scale: f32, bands: u32, bias: f32, marked: bool
         float(extent[1] as f32),
         float(extent[2] as f32),
         float(bias),
-        u32::from(marked),
+        marked,
+        levels,
+        valid_at,
     ];
     let mut bytes = [0; 64];
     for (place, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {

@@ -40,7 +40,7 @@ fn truth(volume: &Volume, position: [f64; 3], normal: [f32; 3]) -> [f32; 3] {
 
 /// As FORMAT.md says, metres.
 fn bias(volume: &Volume) -> f32 {
-    let spacing = volume.header().grid().spacing().into_iter().filter(|spacing| *spacing > 0.0);
+    let spacing = volume.grid().expect("a grid").spacing().into_iter().filter(|spacing| *spacing > 0.0);
     if volume.walled_cells() > 0 { 1e-4 * spacing.fold(f64::INFINITY, f64::min) as f32 } else { 0.0 }
 }
 
@@ -80,13 +80,13 @@ fn compare(volume: &Volume, queries: &[Query], found: &[[f32; 3]]) -> Comparison
 /// The least and the most of each channel at places that rounding cannot tell from this one: at it, at the ends of its
 /// range on each axis, and on both sides of the nodes in between, where the next cell begins.
 fn range_nearby(volume: &Volume, query: &Query) -> [[f32; 3]; 2] {
-    let header = volume.header();
-    let extent: [f64; 3] = std::array::from_fn(|axis| header.max[axis] - header.min[axis]);
+    let grid = volume.grid().expect("a grid");
+    let extent: [f64; 3] = std::array::from_fn(|axis| grid.max[axis] - grid.min[axis]);
     let reach = ROUNDING * extent.iter().map(|v| v * v).sum::<f64>().sqrt();
     let [xs, ys, zs] = [0, 1, 2].map(|axis| {
         let here = f64::from(query.position[axis]);
         let mut places = vec![here - reach, here, here + reach];
-        let spacing = header.grid().spacing()[axis];
+        let spacing = grid.spacing()[axis];
         // In a volume with walls the place that is looked up lies off this one by 1e-4 of the least distance between nodes.
         let bias = f64::from(bias(volume) * query.normal[axis]);
         let node = if spacing > 0.0 { ((here + bias) / spacing).round() * spacing - bias } else { here };

@@ -2,6 +2,8 @@
 
 use crate::common::{File, grid, pattern, raw};
 use crate::gpu::Query;
+use gdibl_runtime::Grid;
+use gdibl_runtime::bricks::Bricks;
 use gdibl_runtime::walls::{Plane, WallCell, walls_to_bytes};
 
 /// Numbers that follow from a seed alone.
@@ -51,6 +53,8 @@ impl Random {
 pub struct Case {
     pub name: &'static str,
     pub file: File,
+    /// Places of the grid per axis.
+    pub counts: [u32; 3],
     pub planes: Vec<Plane>,
 }
 
@@ -73,14 +77,19 @@ fn some_invalid(file: File) -> File {
 /// Walls in every third cell: 1 to 3 planes each, with masks that hide a quarter of the corners (of one part in eight all),
 /// and in every second ends.
 fn with_walls(file: File, seed: u64) -> (File, Vec<Plane>) {
-    let grid = gdibl_runtime::Grid { min: file.min, max: file.max, counts: file.counts };
+    let grid = Grid { min: file.min, max: file.max, counts: file.counts };
+    let cells = (0..grid.node_count() as u32).filter(|&cell| grid.is_cell(cell));
+    let cells = cells.map(|cell| (cell, grid.cell_box(cell))).collect();
+    with_walls_in(file, cells, seed)
+}
+
+fn with_walls_in(file: File, boxes: Vec<(u32, ([f64; 3], [f64; 3]))>, seed: u64) -> (File, Vec<Plane>) {
     let mut random = Random::new(seed);
     let (mut planes, mut cells) = (Vec::new(), Vec::new());
-    for cell in (0..grid.node_count() as u32).filter(|&cell| grid.is_cell(cell)) {
+    for (cell, (low, high)) in boxes {
         if random.below(3) != 0 {
             continue;
         }
-        let (low, high) = grid.cell_box(cell);
         let mut indices = [WallCell::NO_PLANE; 3];
         for index in indices.iter_mut().take(1 + random.below(3)) {
             let through: [f32; 3] = std::array::from_fn(|axis| {
@@ -101,12 +110,41 @@ fn with_walls(file: File, seed: u64) -> (File, Vec<Plane>) {
     (file.section(raw(b"WALL", walls_to_bytes(&planes, &cells))), planes)
 }
 
+/// A sparse grid whose cells are small around a place, and what walls go through every third of them.
+fn sparse(name: &'static str, counts: [u32; 3], bands: u32, around: [f64; 3], is_walled: bool) -> Case {
+    // Each step outward is wide enough for cells that touch to differ by one level.
+    let reach = [3.0, 6.1, 12.2];
+    let bricks = Bricks::new(counts, 3, |level, cell| {
+        let middle =
+            |axis: usize| if counts[axis] > 1 { (f64::from(cell[axis]) + 0.5) * f64::from(1 << level) } else { 0.0 };
+        (0..3).all(|axis| (middle(axis) - around[axis]).abs() < reach[level as usize - 1])
+    });
+    let mut file = box_of([bricks.node_count() as u32, 1, 1], bands, 1);
+    file.kind = 3;
+    let file = file.radiance(pattern).section(raw(b"BRIK", bricks.to_bytes()));
+    if !is_walled {
+        return Case { name, file, counts, planes: Vec::new() };
+    }
+    let grid = Grid { min: file.min, max: file.max, counts };
+    let mut boxes: Vec<(u32, ([f64; 3], [f64; 3]))> = bricks
+        .leaves()
+        .map(|leaf| {
+            let [low, high] = [0, 7].map(|corner| grid.place_position(bricks.corner(leaf, corner)));
+            (grid.index_of(leaf.origin), (low, high))
+        })
+        .collect();
+    boxes.sort_by_key(|(cell, _)| *cell);
+    let (file, planes) = with_walls_in(file.validity(|node| node * 7919 % 5 != 0), boxes, 6);
+    Case { name, file, counts, planes }
+}
+
 pub fn cases() -> Vec<Case> {
-    let plain = |name, file: File| Case { name, file: file.radiance(pattern), planes: Vec::new() };
-    let invalid = |name, file: File| Case { name, file: some_invalid(file.radiance(pattern)), planes: Vec::new() };
+    let case = |name, file: File, planes| Case { name, counts: file.counts, file, planes };
+    let plain = |name, file: File| case(name, file.radiance(pattern), Vec::new());
+    let invalid = |name, file: File| case(name, some_invalid(file.radiance(pattern)), Vec::new());
     let walled = |name, file: File, seed| {
         let (file, planes) = with_walls(file.radiance(pattern), seed);
-        Case { name, file, planes }
+        case(name, file, planes)
     };
     let mut far = box_of([7, 5, 6], 2, 1);
     (far.min, far.max) = ([1e6, -2e6, 3e5], [1e6 + 4.0, -2e6 + 1.5, 3e5 + 3.0]);
@@ -129,8 +167,11 @@ pub fn cases() -> Vec<Case> {
         walled("walls, far from the origin, L2", far, 4),
         {
             let (file, planes) = with_walls(some_invalid(box_of([7, 5, 6], 1, 1).radiance(pattern)), 5);
-            Case { name: "walls, some invalid, L1", file, planes }
+            case("walls, some invalid, L1", file, planes)
         },
+        sparse("sparse, L2", [33, 17, 25], 2, [11.0, 5.0, 17.0], false),
+        sparse("sparse, one place on y, L1", [33, 1, 25], 1, [11.0, 0.0, 17.0], false),
+        sparse("sparse, walls, some invalid, L1", [17, 17, 25], 1, [5.0, 11.0, 9.0], true),
     ]
 }
 
@@ -143,7 +184,7 @@ pub fn queries(case: &Case, count: usize, seed: u64) -> Vec<Query> {
         let mut position: [f32; 3] = std::array::from_fn(|axis| random.unit() * extent[axis]);
         let mut normal = random.direction();
         let on_node = |axis: usize, random: &mut Random| {
-            let count = case.file.counts[axis] as usize;
+            let count = case.counts[axis] as usize;
             random.below(count) as f32 / (count - 1).max(1) as f32 * extent[axis]
         };
         match number % 8 {

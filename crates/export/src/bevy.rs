@@ -9,7 +9,8 @@
 //! Voxel (x, y, z) of side S is texel (x, y + ny if S is negative, z + nz · axis). A texel holds E/π along S over
 //! `intensity`, since the shader multiplies by the surface's colour without 1/π. Voxels are amid their cells: the box
 //! reaches half a spacing beyond the volume's. In Bevy, unlike what its `irradiance_volume` documentation says, the
-//! positive sides come first: the shader adds half the height where the normal is negative.
+//! positive sides come first: the shader adds half the height where the normal is negative. Checked in Bevy itself by
+//! `integrations/bevy`.
 //!
 //! Based on: Bevy 0.19, `bevy_pbr/src/light_probe/irradiance_volume.wgsl`, `light_probe.wgsl`.
 
@@ -20,11 +21,13 @@ use std::f64::consts::PI;
 use gdibl_runtime::{RadianceSh, Volume};
 
 use crate::cube::{Cube, CubeFit, cube_of_axes};
-use crate::ktx2::{self, Format};
+use crate::ktx2;
 use crate::light::{Least, Light, text};
-use crate::loss::{Truth, Variant};
+use crate::loss::{Loss, Truth, Variant};
 use crate::texture::Texture;
 use crate::{Error, Export, File, Report, Settings, beside, rgb9e5};
+
+pub use crate::ktx2::Format;
 
 /// The largest side of a 3-D texture that WebGPU promises.
 const MAX_SIDE: u32 = 2048;
@@ -46,8 +49,51 @@ struct Sidecar<'a> {
     spawn: String,
 }
 
+/// The texture of a volume, by the better of two fits, and its place: for programs that draw it themselves.
+///
+/// # Errors
+/// As [`crate::export`].
+pub fn voxels(volume: &Volume, counts: Option<[u32; 3]>, format: Format) -> Result<Voxels, Error> {
+    let [axes, squares] = fits(&light_of_volume(volume, counts)?, &Truth::of_volume(volume), format);
+    Ok(if squares.error.relative_rmse < axes.error.relative_rmse { squares.voxels } else { axes.voxels })
+}
+
 pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Error> {
-    let light = Light::of_volume(volume, settings.counts, Least::One)?;
+    let light = light_of_volume(volume, settings.counts)?;
+    let truth = Truth::of_volume(volume);
+    // Both fits in both formats; the better fit is written.
+    let small = fits(&light, &truth, Format::Rgb9e5);
+    let half = fits(&light, &truth, Format::Rgba16f);
+    let best = usize::from(small[1].error.relative_rmse < small[0].error.relative_rmse);
+    let half_name = beside(&settings.name, ".rgba16f.ktx2");
+    let sidecar = &small[best].voxels.sidecar(&settings.name, &half_name);
+    let files = vec![
+        File { name: settings.name.clone(), bytes: small[best].voxels.ktx2() },
+        File { name: half_name.clone(), bytes: half[best].voxels.ktx2() },
+        File { name: beside(&settings.name, ".json"), bytes: serde_json::to_vec_pretty(sidecar).expect("plain data") },
+    ];
+    let variant = |fit: usize, of: &Fit, format: &str| Variant {
+        name: format!("{}, {format}", of.name),
+        written: fit == best,
+        error: of.error,
+    };
+    let report = Report {
+        counts: light.grid.counts,
+        bands_of_volume: volume.header().bands,
+        bands: None,
+        error: small[best].error,
+        variants: (0..2)
+            .flat_map(|fit| [variant(fit, &small[fit], "RGB9E5"), variant(fit, &half[fit], "RGBA16F")])
+            .collect(),
+        negative: truth.negative("cannot be stored: sides are fitted with 0 as the lower bound"),
+        notes: light.notes,
+    };
+    Ok(Export { files, report })
+}
+
+/// The light at the voxels, if a texture can hold as many.
+fn light_of_volume(volume: &Volume, counts: Option<[u32; 3]>) -> Result<Light, Error> {
+    let light = Light::of_volume(volume, counts, Least::One)?;
     let [nx, ny, nz] = light.grid.counts;
     if nx.max(ny.saturating_mul(2)).max(nz.saturating_mul(3)) > MAX_SIDE {
         return Err(Error::Unsupported(format!(
@@ -57,63 +103,52 @@ pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Err
             3 * u64::from(nz)
         )));
     }
-    let truth = Truth::of_volume(volume);
-    let fit = CubeFit::new();
-    let cubes = |cube: &dyn Fn(&RadianceSh) -> Cube| light.nodes.iter().map(cube).collect::<Vec<Cube>>();
-    let candidates = [
-        ("E along the axes", cubes(&|sh| cube_of_axes(&sh.convolve()))),
-        ("least squares, no side below 0", cubes(&|sh| fit.fit(&sh.convolve()))),
-    ];
-    // Both fits in both formats; the better fit is written.
-    let mut tried = Vec::new();
-    for (name, cubes) in &candidates {
-        for format in [Format::Rgb9e5, Format::Rgba16f] {
-            let placed = Placed::encode(&light, cubes, format);
-            let error = truth.loss(|position, normal| placed.irradiance(position, normal));
-            tried.push((*name, placed, error));
-        }
-    }
-    let best = usize::from(tried[2].2.relative_rmse < tried[0].2.relative_rmse) * 2;
-    let half_name = beside(&settings.name, ".rgba16f.ktx2");
-    let sidecar = &tried[best].1.sidecar(&settings.name, &half_name);
-    let files = vec![
-        File { name: settings.name.clone(), bytes: tried[best].1.file.clone() },
-        File { name: half_name.clone(), bytes: tried[best + 1].1.file.clone() },
-        File { name: beside(&settings.name, ".json"), bytes: serde_json::to_vec_pretty(sidecar).expect("plain data") },
-    ];
-    let error = tried[best].2;
-    let variants = tried.iter().enumerate().map(|(i, (name, placed, error))| Variant {
-        name: format!("{name}, {}", if placed.format == Format::Rgb9e5 { "RGB9E5" } else { "RGBA16F" }),
-        written: i == best || i == best + 1,
-        error: *error,
-    });
-    let report = Report {
-        counts: light.grid.counts,
-        bands_of_volume: volume.header().bands,
-        bands: None,
-        error,
-        variants: variants.collect(),
-        negative: truth.negative("cannot be stored: sides are fitted with 0 as the lower bound"),
-        notes: light.notes,
-    };
-    Ok(Export { files, report })
+    Ok(light)
 }
 
-/// A texture with its place in the world.
-struct Placed {
-    format: Format,
-    counts: [u32; 3],
-    file: Vec<u8>,
+/// One way to fill a texture, and its error.
+struct Fit {
+    name: &'static str,
+    voxels: Voxels,
+    error: Loss,
+}
+
+/// Both ways.
+fn fits(light: &Light, truth: &Truth, format: Format) -> [Fit; 2] {
+    let squares = CubeFit::new();
+    let fit = |name, cube: &dyn Fn(&RadianceSh) -> Cube| {
+        let voxels = Voxels::encode(light, &light.nodes.iter().map(cube).collect::<Vec<Cube>>(), format);
+        let error = truth.loss(|position, normal| voxels.irradiance(position, normal));
+        Fit { name, voxels, error }
+    };
+    [
+        fit("E along the axes", &|sh| cube_of_axes(&sh.convolve())),
+        fit("least squares, no side below 0", &|sh| squares.fit(&sh.convolve())),
+    ]
+}
+
+/// A texture of ambient cubes with its place in the world: what an `IrradianceVolume` and its `Transform` want.
+pub struct Voxels {
+    /// How a texel is written.
+    pub format: Format,
+    /// Voxels per axis.
+    pub counts: [u32; 3],
+    /// Texels per axis.
+    pub size: [u32; 3],
+    /// The texels, little-endian; x runs fastest, then y, then z.
+    pub bytes: Vec<u8>,
+    /// Brings texels to E/π in the units of the panoramas.
+    pub intensity: f32,
+    /// Centre of the box, metres.
+    pub translation: [f64; 3],
+    /// Size of the box, metres.
+    pub scale: [f64; 3],
     /// As read back.
     texture: Texture,
-    intensity: f32,
-    /// Centre and size of the box, metres.
-    translation: [f64; 3],
-    scale: [f64; 3],
 }
 
-impl Placed {
-    fn encode(light: &Light, cubes: &[Cube], format: Format) -> Placed {
+impl Voxels {
+    fn encode(light: &Light, cubes: &[Cube], format: Format) -> Voxels {
         let largest = cubes.iter().flatten().flatten().fold(0.0_f32, |largest, e| largest.max(*e)) / PI as f32;
         let intensity = intensity_for(largest);
         let [nx, ny, nz] = light.counts();
@@ -144,21 +179,27 @@ impl Placed {
             };
         }
         let (min, max) = light.cell_box();
-        Placed {
+        Voxels {
             format,
             counts: light.grid.counts,
-            file: ktx2::write(format, size.map(|n| n as u32), &bytes),
-            texture: Texture { size, texels },
+            size: size.map(|n| n as u32),
+            bytes,
             intensity,
             translation: std::array::from_fn(|k| 0.5 * min[k] + 0.5 * max[k]),
             scale: std::array::from_fn(|k| max[k] - min[k]),
+            texture: Texture { size, texels },
         }
     }
 
-    /// E as the shader has it: `irradiance_volume_light`, times π.
-    fn irradiance(&self, position: [f64; 3], normal: [f32; 3]) -> [f64; 3] {
+    fn ktx2(&self) -> Vec<u8> {
+        ktx2::write(self.format, self.size, &self.bytes)
+    }
+
+    /// E as the shader has it, `irradiance_volume_light` times π: at a position, metres, for a normal of unit length. 0
+    /// outside the box.
+    pub fn irradiance(&self, position: [f64; 3], normal: [f32; 3]) -> [f64; 3] {
         let unit: [f64; 3] = std::array::from_fn(|k| (position[k] - self.translation[k]) / self.scale[k]);
-        // `query_light_probe`: outside the cube there is nothing.
+        // `light_probe_iterator_next`: outside the cube there is nothing.
         if unit.iter().any(|u| u.abs() > 0.5) {
             return [0.0; 3];
         }

@@ -12,7 +12,7 @@
 
 /// How a texel is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Format {
+pub enum Format {
     /// `VK_FORMAT_E5B9G9R9_UFLOAT_PACK32`.
     Rgb9e5,
     /// `VK_FORMAT_R16G16B16A16_SFLOAT`.

@@ -1,5 +1,6 @@
 //! What must hold whatever the format.
 
+use gdibl_export::bevy::{Format, voxels};
 use gdibl_export::{Engine, SAMPLES, sample_normal, sample_position};
 use gdibl_runtime::{RadianceSh, Volume};
 use std::f64::consts::PI;
@@ -194,6 +195,31 @@ fn both_textures_for_bevy_hold_the_better_of_two_fits() {
     // A light at 45 degrees would make a side negative.
     let spawn = String::from_utf8(file(&export, "room.json").to_vec()).unwrap();
     assert!(spawn.contains("voxels: asset_server.load(\\\"room.main\\\"), intensity: 1.0"), "{spawn}");
+}
+
+#[test]
+fn voxels_are_what_is_exported_to_bevy() {
+    let volume = grid([4, 3, 2], 2, uneven);
+    let export = exported(&volume, Engine::Bevy);
+    let sidecar: serde_json::Value = serde_json::from_slice(file(&export, "room.json")).unwrap();
+    for (name, format) in [("room.main", Format::Rgb9e5), ("room.rgba16f.ktx2", Format::Rgba16f)] {
+        let voxels = voxels(&volume, None, format).unwrap();
+        assert_eq!((voxels.counts, voxels.size), ([4, 3, 2], [4, 6, 6]));
+        let texels = 4 * 6 * 6 * if format == Format::Rgb9e5 { 4 } else { 8 };
+        assert_eq!(voxels.bytes.len(), texels);
+        assert!(file(&export, name).ends_with(&voxels.bytes), "{name}");
+        assert_eq!(sidecar["intensity"].as_f64(), Some(f64::from(voxels.intensity)));
+        let number = |key: &str, axis: usize| sidecar[key][axis].as_f64().unwrap();
+        for axis in 0..3 {
+            assert!((number("translation", axis) - voxels.translation[axis]).abs() < 1e-6, "{sidecar}");
+            assert!((number("scale", axis) - voxels.scale[axis]).abs() < 1e-6, "{sidecar}");
+        }
+        let (position, normal) = ([0.2, 1.1, 3.9], [0.6, -0.48, 0.64]);
+        let (formula, read) = (voxels.irradiance(position, normal), bevy(&export, name)(position, normal));
+        for c in 0..3 {
+            assert!((formula[c] - read[c]).abs() < 1e-5 * read[c].abs(), "{name}: {formula:?} {read:?}");
+        }
+    }
 }
 
 #[test]

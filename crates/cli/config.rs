@@ -35,6 +35,15 @@ pub struct GridFlags {
     pub tolerance: Option<f64>,
 }
 
+/// Highest band of spherical harmonics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bands {
+    /// What the light needs.
+    Auto,
+    /// This one.
+    To(u32),
+}
+
 /// Flags that BAKE.toml can hold too. `None`: not said.
 #[derive(Args, Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -80,10 +89,11 @@ pub struct QualityFlags {
     #[arg(long, value_name = "HOW", value_parser = parse_scene_hit)]
     #[serde(deserialize_with = "text::scene_hit")]
     pub scene: Option<SceneHit>,
-    /// Bands of spherical harmonics: L0, L1, L2, L3 or L4 [default: L2]
+    /// Bands of spherical harmonics: L0, L1, L2, L3, L4, or auto: the fewest with which irradiance at 95 % of the nodes is that of L4
+    /// to --tolerance, or to 5 % [default: L2]
     #[arg(long, value_name = "BANDS", value_parser = parse_bands)]
     #[serde(deserialize_with = "text::bands")]
-    pub sh: Option<u32>,
+    pub sh: Option<Bands>,
     /// Numbers in the file: f16 or f32 [default: f16]
     #[arg(long, value_name = "TYPE", value_parser = parse_precision)]
     #[serde(deserialize_with = "text::precision")]
@@ -527,14 +537,15 @@ fn parse_scene_hit(text: &str) -> Result<SceneHit, String> {
     }
 }
 
-fn parse_bands(text: &str) -> Result<u32, String> {
-    match text {
-        "L0" => Ok(0),
-        "L1" => Ok(1),
-        "L2" => Ok(2),
-        "L3" => Ok(3),
-        "L4" => Ok(4),
-        _ => Err("expected L0, L1, L2, L3 or L4".into()),
+fn parse_bands(text: &str) -> Result<Bands, String> {
+    let bands = text
+        .strip_prefix('L')
+        .and_then(|digits| digits.parse().ok())
+        .filter(|bands| *bands <= gdibl_runtime::sh::MAX_BANDS);
+    match bands {
+        Some(bands) => Ok(Bands::To(bands)),
+        None if text == "auto" => Ok(Bands::Auto),
+        None => Err("expected L0, L1, L2, L3, L4 or auto".into()),
     }
 }
 
@@ -575,7 +586,7 @@ mod text {
         punctual: super::Punctual = parse_punctual,
         sun: super::Sun = parse_sun,
         scene_hit: super::SceneHit = parse_scene_hit,
-        bands: u32 = parse_bands,
+        bands: super::Bands = parse_bands,
         precision: super::Precision = parse_precision,
         blend: super::BlendRule = parse_blend
     }

@@ -256,6 +256,33 @@ fn with_a_tolerance_nodes_are_left_out_and_the_error_between_them_is_told() {
 }
 
 #[test]
+fn bands_that_light_does_not_need_are_left_out() {
+    let folder = coloured_room();
+    let auto = |arguments: &[&str]| {
+        folder.bake(&[arguments, &["--counts", "3,3,3", "--samples", "256", "--sh", "auto"]].concat())
+    };
+    let report = auto(&PROBES);
+    let lost = |report: &Value, bands: usize| report["truncation"][bands]["error"]["p95"].as_f64().unwrap();
+    // The first that loses no more than 5 %.
+    let fewest = (0..3).find(|bands| lost(&report, *bands) <= 0.05).map_or(4, |bands| [0, 1, 2][bands]);
+    assert_eq!(report["sh"], format!("L{fewest}"), "{report}");
+    assert!(lost(&report, 0) > lost(&report, 1) && lost(&report, 1) > lost(&report, 2));
+    let row = report["plan"].as_array().unwrap().iter().find(|row| row["stage"] == "bands").unwrap();
+    assert!(row["kept"] == false && row["why"].as_str().unwrap().contains("L2"), "{row}");
+    // The light is what a bake of as many bands finds.
+    let place = [[0.2, 0.1, -0.3, 0.0, 1.0, 0.0]];
+    let found = folder.irradiance("room.gdibl", &place);
+    folder.bake(&[&PROBES[..], &["--counts", "3,3,3", "--samples", "256", "--sh", &format!("L{fewest}")]].concat());
+    assert_eq!(found, folder.irradiance("room.gdibl", &place));
+    // In a fog band 0 is all there is.
+    folder.write("empty.gltf", r#"{"asset": {"version": "2.0"}}"#);
+    folder.panorama("fog.exr", 16, None, |_| [1.0, 2.0, 3.0]);
+    let report = auto(&["empty.gltf", "--distant", "fog.exr", "--bounds=0,0,0,9,9,9"]);
+    assert_eq!(report["sh"], "L0");
+    assert_eq!(folder.run(&["bake", "room.glb", "--sh", "L5"]).code, 2);
+}
+
+#[test]
 fn plan_is_printed_and_nothing_is_written() {
     let folder = coloured_room();
     let before = folder.names();

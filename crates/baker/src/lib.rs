@@ -13,6 +13,7 @@
 
 pub mod analyse;
 pub mod bake;
+pub mod bands;
 pub mod capture;
 mod control;
 pub mod deringing;

@@ -1,6 +1,9 @@
 //! What a bake does and what it leaves out, decided from the inputs before the first ray, with the reason.
 
+use gdibl_runtime::sh::MAX_BANDS;
+
 use crate::bake::{Baked, Nodes, Walls, levels_of};
+use crate::bands::Truncation;
 use crate::radiance::RadianceFunction;
 use crate::radiance::exposure::ExposureMatch;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
@@ -161,6 +164,14 @@ pub fn sparse(nodes: &Nodes, tolerance: Option<f64>, record: Option<&SparseRecor
             row(true, format!("light is even to {percent} % between {} nodes of {places} places", nodes.len()))
         }
     }
+}
+
+/// The bands that `--sh auto` keeps, with what fewer would lose.
+pub fn bands(truncations: &[Truncation], tolerance: f64, kept: u32) -> PlanRow {
+    let lost: Vec<String> = truncations.iter().map(|t| format!("L{} {:.2} %", t.bands, 100.0 * t.error.p95)).collect();
+    let lost = if lost.is_empty() { "nothing is known".into() } else { lost.join(", ") };
+    let why = format!("to {} % at 95 % of the nodes; bands above lose less than that: {lost}", 100.0 * tolerance);
+    PlanRow::new("bands", kept == MAX_BANDS, format!("L{kept} is right {why}"))
 }
 
 fn emitters(count: usize) -> PlanRow {

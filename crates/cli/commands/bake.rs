@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes, Standing};
+use gdibl_baker::bands::{self, Truncation};
 use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::exposure::ExposureMatch;
@@ -16,11 +17,12 @@ use gdibl_baker::records::{
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::{PackSettings, Packed, Precision, pack, write_whole};
 use gdibl_baker::{Control, Finding};
+use gdibl_runtime::sh::MAX_BANDS;
 use serde::Serialize;
 
 use crate::captures::capture_missing;
 use crate::config::{
-    CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, Sun, check_target, clamp,
+    Bands, CaptureFlags, Config, FileFlags, GridFlags, Method, Punctual, QualityFlags, Sun, check_target, clamp,
     gdibl_settings, path_settings, set_threads,
 };
 use crate::fault::Fault;
@@ -65,6 +67,8 @@ struct Report<'a> {
     standing: StandingRecord,
     walls: Option<WallsRecord>,
     sparse: Option<&'a SparseRecord>,
+    /// What fewer bands than were baked would lose, or have lost.
+    truncation: &'a [Truncation],
     deringing: Option<DeringingRecord>,
     sun: Option<SunRecord>,
     exposure: Option<&'a ExposureMatch>,
@@ -74,6 +78,9 @@ struct Report<'a> {
     samples: u64,
     findings: &'a [gdibl_baker::Finding],
 }
+
+/// What `--sh auto` allows fewer bands to lose where no tolerance is given.
+const BANDS_TOLERANCE: f64 = 0.05;
 
 pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let started = Instant::now();
@@ -137,8 +144,15 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             (plan, job.bake(&path)?)
         }
     };
-    let (sparse_nodes, baked, sparse) = found;
+    let (sparse_nodes, mut baked, sparse) = found;
     nodes = sparse_nodes.unwrap_or(nodes);
+    let truncations = bands::truncations(&baked);
+    if config.quality.sh == Some(Bands::Auto) {
+        let within = tolerance.unwrap_or(BANDS_TOLERANCE);
+        let fewest = bands::fewest(&truncations, within, baked.bands);
+        plan.push(plan::bands(&truncations, within, fewest));
+        bands::truncate(&mut baked, fewest);
+    }
     inputs.findings.extend(clamped_light(&baked, &settings));
     inputs.findings.extend(dropped_walls(&baked));
     plan.push(plan::sparse(&nodes, tolerance, sparse.as_ref()));
@@ -174,6 +188,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         standing: records.statistics.standing,
         walls: records.statistics.walls,
         sparse: records.statistics.sparse.as_ref(),
+        truncation: &truncations,
         deringing: records.statistics.deringing,
         sun: records.statistics.sun,
         exposure: inputs.exposure.as_ref(),
@@ -293,7 +308,12 @@ pub fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
     }
     check_target(quality.target_error)?;
     Ok(BakeSettings {
-        bands: quality.sh.unwrap_or(defaults.bands),
+        bands: match quality.sh {
+            None => defaults.bands,
+            Some(Bands::To(bands)) => bands,
+            // Those that are not needed are left out once they are known.
+            Some(Bands::Auto) => MAX_BANDS,
+        },
         samples,
         target_error: quality.target_error,
         seed: quality.seed.unwrap_or(defaults.seed),
@@ -397,6 +417,9 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
 }
 
 fn print_plan(mut plan: Vec<PlanRow>, config: &Config, json: bool) -> Result<(), Fault> {
+    if config.quality.sh == Some(Bands::Auto) {
+        plan.push(PlanRow::new("bands", true, "all to L4 are baked, and those that light does not need left out"));
+    }
     // What was baked tells whether any does.
     if config.quality.dering == Some(true) {
         plan.push(PlanRow::new("deringing", true, "nodes that ring are windowed"));

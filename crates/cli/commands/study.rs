@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::bake::{bake_settings, check_memory};
 use super::compare::{Kind, read};
 use crate::captures::{capture_missing, say};
-use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, set_threads};
+use crate::config::{Bands, CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, set_threads};
 use crate::fault::Fault;
 use crate::inputs::{Inputs, nodes_of};
 use crate::progress::{Progress, cancel_on_interrupt};
@@ -330,6 +330,9 @@ fn choose_nodes(
     given: Option<&Given>,
 ) -> Result<(Nodes, String), Fault> {
     let GridFlags { nodes, bounds, spacing, counts, tolerance } = &arguments.grid;
+    if config.quality.sh == Some(Bands::Auto) {
+        return Err(Fault::Usage("--sh auto: a study compares bakes of the same bands; say which".into()));
+    }
     if tolerance.is_some() {
         return Err(Fault::Usage("--tolerance: a study bakes every place of a grid".into()));
     }

@@ -44,16 +44,19 @@ class Volume:
         self.max = struct.unpack_from("<3d", data, 72)
         demand(self.kind <= 3, f"kind {self.kind}")
         demand(self.bands <= 4, f"bands {self.bands}")
-        demand(self.encoding <= 1, f"encoding {self.encoding}")
+        demand(self.encoding <= 2, f"encoding {self.encoding}")
         demand(units <= 1, f"units {units}")  # 1 is de-ringed, and reads alike
         demand(section_count <= 64, f"{section_count} sections")
         demand(min(self.counts) >= 1, f"counts {self.counts}")
         demand(self.kind == 0 or self.counts[1:] == (1, 1), f"counts {self.counts}")
         for low, high in zip(self.min, self.max):
             demand(math.isfinite(high - low) and low <= high, f"box {self.min} to {self.max}")
-        mantissa, exponent = math.frexp(self.scale)
-        demand(mantissa == 0.5 and -100 <= exponent - 1 <= 100, f"scale {self.scale}")
-        demand(self.encoding == 1 or self.scale == 1, f"scale {self.scale} for f32")
+        if self.encoding == 2:
+            demand(2**-13 <= self.scale <= 1, f"step {self.scale}")
+        else:
+            mantissa, exponent = math.frexp(self.scale)
+            demand(mantissa == 0.5 and -100 <= exponent - 1 <= 100, f"scale {self.scale}")
+            demand(self.encoding == 1 or self.scale == 1, f"scale {self.scale} for f32")
         self.node_count = math.prod(self.counts)
         demand(self.node_count < 2**32, f"counts {self.counts}")
         self.sections = self.read_sections(data, section_count)
@@ -93,7 +96,7 @@ class Volume:
         demand(len(data) == raw_size, f"{ident}: {len(data)} bytes, not {raw_size}")
         demand(shuffled <= 1, f"{ident}: filter {shuffled}")
         if shuffled == 1:
-            size = (4, 2)[self.encoding] if ident == b"RSH " else ELEMENT_SIZES.get(ident)
+            size = (4, 2, 2)[self.encoding] if ident == b"RSH " else ELEMENT_SIZES.get(ident)
             demand(size and raw_size % size == 0, f"{ident}: shuffled")
             count = raw_size // size
             plain = bytearray(raw_size)
@@ -114,8 +117,11 @@ class Volume:
 
     def read_contents(self):
         planes = 3 * (self.bands + 1) ** 2
-        self.radiance = self.numbers(b"RSH ", "fe"[self.encoding], planes, True)
-        demand(all(map(math.isfinite, self.radiance)), "RSH : not finite")
+        if self.encoding == 2:
+            self.radiance, self.scale = self.unpack(planes), 1.0
+        else:
+            self.radiance = self.numbers(b"RSH ", "fe"[self.encoding], planes, True)
+            demand(all(map(math.isfinite, self.radiance)), "RSH : not finite")
         self.valid = self.numbers(b"VALD", "B", 1, False)
         demand(self.valid is None or max(self.valid) <= 1, "VALD: neither 0 nor 1")
         self.read_bricks()
@@ -156,6 +162,33 @@ class Volume:
                         if is_node:
                             self.nodes[place] = len(self.nodes)
         demand(len(self.nodes) == self.node_count, f"BRIK: {len(self.nodes)} nodes, not {self.node_count}")
+
+    def unpack(self, count):
+        """Packed coefficients, as planes of numbers."""
+        folded = self.numbers(b"RSH ", "H", count + 1, True)
+        planes = []
+        for start in range(0, len(folded), self.node_count):
+            number, plane = 0, []
+            for f in folded[start : start + self.node_count]:
+                number += (f >> 1) ^ -(f & 1)
+                number = (number + 32768) % 65536 - 32768
+                plane.append(number)
+            planes.append(plane)
+        codes = planes.pop(0)
+        demand(min(codes) >= 0, "RSH : a code below 0")
+        magnitudes = [2 ** ((code - 16384) / 256) if code > 0 else 0.0 for code in codes]
+        radiance = []
+        for index in range(count // 3):
+            weight = (PI, 2 * PI / 3, PI / 4, PI / 24, PI / 24)[math.isqrt(index)]
+            triples = []
+            for m, *q in zip(magnitudes, *planes[3 * index : 3 * index + 3]):
+                k = [m * self.scale * number / weight for number in q]
+                k[0] += m / weight if index == 0 else 0.0
+                a, b, c = k[0] / 3**0.5, k[1] / 2**0.5, k[2] / 6**0.5
+                triples.append((a + b - c, a + 2 * c, a - b - c))
+            for channel in range(3):
+                radiance.extend(triple[channel] for triple in triples)
+        return radiance
 
     def read_walls(self):
         """Cells with walls: {lowest node: ([(normal, distance)], ends, masks)}."""

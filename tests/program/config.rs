@@ -54,6 +54,15 @@ fn settings_go_by_the_names_of_the_flags_and_flags_win() {
         assert_eq!(&settings[key], value, "{key}");
     }
 
+    let flags = ["--precision", "packed", "-o", "packed.gdibl"];
+    folder.bake(&[&["project/BAKE.toml"], &flags[..]].concat());
+    assert_eq!(folder.inspect("packed.gdibl")["precision"], "packed");
+    let packed =
+        project(&format!("{PLACED}[grid]\nspacing = 4.0\n[quality]\nsamples = 64\nprecision = \"packed:0.02\"\n"));
+    packed.bake(&["project/BAKE.toml"]);
+    let error = packed.inspect("project/out.gdibl")["statistics"]["packing"]["added_error"]["p95"].as_f64().unwrap();
+    assert!(error > 0.0 && error <= 0.02, "{error}");
+
     let flags = ["--samples", "32", "--sh", "L0", "--blend", "nearest", "--counts", "3,1,1", "-o", "flags.gdibl"];
     folder.bake(&[&["project/BAKE.toml"], &flags[..]].concat());
     let found = folder.inspect("flags.gdibl");

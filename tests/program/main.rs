@@ -12,6 +12,7 @@ mod export;
 mod exposure;
 mod furnace;
 mod light;
+mod packed;
 mod probes;
 mod reader;
 mod render;

@@ -74,6 +74,8 @@ pub struct StatisticsRecord {
     pub sparse: Option<SparseRecord>,
     /// What de-ringing did; `None` where it was not asked for, or no node rings.
     pub deringing: Option<DeringingRecord>,
+    /// What packed coefficients add to the error; `None` in files of floats.
+    pub packing: Option<PackingRecord>,
     /// The sun whose direct light was left out; `None` where that was not asked for, or no sun found.
     pub sun: Option<SunRecord>,
     /// What the inputs had that deserves a look.
@@ -153,6 +155,15 @@ pub struct DeringingRecord {
     pub nodes: u64,
     /// What it changed in them: root mean square of the change of E over that of E.
     pub relative_change: ErrorSummary,
+}
+
+/// What packing did.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct PackingRecord {
+    /// Of the numbers, see [`gdibl_runtime::packed`].
+    pub step: f32,
+    /// What E of the baked nodes is off by: root mean square over normals and channels, over that of E.
+    pub added_error: ErrorSummary,
 }
 
 /// Order statistics of a set of errors.

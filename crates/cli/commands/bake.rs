@@ -11,7 +11,7 @@ use gdibl_baker::radiance::exposure::ExposureMatch;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::records::{
-    DeringingRecord, ErrorSummary, ProbeRecord, Records, SettingsRecord, SparseRecord, StandingRecord,
+    DeringingRecord, ErrorSummary, PackingRecord, ProbeRecord, Records, SettingsRecord, SparseRecord, StandingRecord,
     StatisticsRecord, SunRecord, WallsRecord,
 };
 use gdibl_baker::sampling::Sampler;
@@ -70,6 +70,7 @@ struct Report<'a> {
     /// What fewer bands than were baked would lose, or have lost.
     truncation: &'a [Truncation],
     deringing: Option<DeringingRecord>,
+    packing: Option<PackingRecord>,
     sun: Option<SunRecord>,
     exposure: Option<&'a ExposureMatch>,
     bytes: u64,
@@ -163,9 +164,10 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         statistics: StatisticsRecord { sun, sparse, ..statistics(&baked, &inputs) },
         plan,
     };
+    let precision = config.quality.precision.unwrap_or_default();
     let packing = PackSettings {
-        precision: config.quality.precision.unwrap_or_default(),
-        zstd: config.quality.zstd.unwrap_or(false),
+        precision,
+        zstd: config.quality.zstd.unwrap_or(matches!(precision, Precision::Packed { .. })),
         dering: config.quality.dering.unwrap_or(false),
     };
     let Packed { bytes, records } = pack(&nodes, &baked, records, packing);
@@ -190,6 +192,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         sparse: records.statistics.sparse.as_ref(),
         truncation: &truncations,
         deringing: records.statistics.deringing,
+        packing: records.statistics.packing,
         sun: records.statistics.sun,
         exposure: inputs.exposure.as_ref(),
         bytes: bytes.len() as u64,
@@ -411,6 +414,7 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
             .map(|walls| WallsRecord { cells: walls.cells.len() as u64, planes: walls.planes.len() as u64 }),
         sparse: None,
         deringing: None,
+        packing: None,
         sun: None,
         findings: inputs.findings.clone(),
     }
@@ -452,6 +456,7 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
     let precision = match precision {
         Precision::F16 => "f16",
         Precision::F32 => "f32",
+        Precision::Packed { .. } => "packed numbers",
     };
     let mut lines = vec![
         report.output.clone(),
@@ -481,6 +486,9 @@ fn print_report(report: &Report, nodes: &Nodes, precision: Precision) -> Result<
     }
     if let Some(sun) = &report.sun {
         lines.push(format!("  sun       {}", super::sun_text(sun)));
+    }
+    if let Some(packing) = &report.packing {
+        lines.push(format!("  packed    {}", super::packing_text(packing)));
     }
     if let Some(deringing) = &report.deringing {
         lines.push(format!("  de-ringed {}", super::deringing_text(deringing)));

@@ -70,7 +70,11 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         min: header.min,
         max: header.max,
         sh: format!("L{}", header.bands),
-        precision: if header.encoding == Encoding::F16 { "f16" } else { "f32" },
+        precision: match header.encoding {
+            Encoding::F32 => "f32",
+            Encoding::F16 => "f16",
+            Encoding::Packed => "packed",
+        },
         scale: header.scale,
         deringed: header.is_deringed(),
         sections: sections(&directory),
@@ -109,7 +113,8 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
     let [a, b] = [report.min, report.max].map(|p| format!("{:.3} {:.3} {:.3}", p[0], p[1], p[2]));
     row("box", format!("{a}  to  {b}"));
     let how = if report.deringed { ", de-ringed" } else { "" };
-    row("light", format!("radiance to {} in {}, times {}{how}", report.sh, report.precision, report.scale));
+    let scale = if header.encoding == Encoding::Packed { "in steps of" } else { "times" };
+    row("light", format!("radiance to {} in {}, {scale} {}{how}", report.sh, report.precision, report.scale));
     let volume = &report.volume;
     row("valid", format!("{} of {} nodes", volume.nodes_valid, volume.nodes));
     if let Some(statistics) = &report.statistics {
@@ -173,6 +178,9 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
         let (rays, samples) = (statistics.rays as f64 / 1e6, statistics.samples as f64 / 1e6);
         if let Some(sun) = &statistics.sun {
             row("sun", super::sun_text(sun));
+        }
+        if let Some(packing) = &statistics.packing {
+            row("packed", super::packing_text(packing));
         }
         if let Some(deringing) = &statistics.deringing {
             row("de-ringed", super::deringing_text(deringing));

@@ -11,7 +11,7 @@ pub mod sample;
 pub mod study;
 
 use gdibl_baker::records::{
-    DeringingRecord, Record, SparseLevel, SparseRecord, StandingRecord, SunRecord, WallsRecord, decode,
+    DeringingRecord, PackingRecord, Record, SparseLevel, SparseRecord, StandingRecord, SunRecord, WallsRecord, decode,
 };
 use gdibl_runtime::format::{Directory, Limits};
 use serde::Serialize;
@@ -98,6 +98,15 @@ fn sun_text(sun: &SunRecord) -> String {
     let SunRecord { direction: [x, y, z], irradiance: [r, g, b], angular_diameter_degrees: diameter } = sun;
     format!(
         "left out: toward {x:.4} {y:.4} {z:.4}, irradiance {r:.4} {g:.4} {b:.4} on a surface facing it, {diameter:.2}° wide"
+    )
+}
+
+/// What packing did, in words.
+fn packing_text(packing: &PackingRecord) -> String {
+    let PackingRecord { step, added_error } = packing;
+    let [median, p95, max] = [added_error.median, added_error.p95, added_error.max].map(|e| e * 100.0);
+    format!(
+        "{median:.2} % median, {p95:.2} % 95th percentile, {max:.2} % worst added to the error of E, by steps of {step:.5}"
     )
 }
 

@@ -199,7 +199,7 @@ fn parse_refuses_null_and_needs_no_message() {
 
 #[test]
 fn damaged_files_are_errors_with_a_message_wherever_the_damage_is() {
-    let bytes = FORMS[3].bytes();
+    let bytes = FORMS[4].bytes();
     for place in 0..bytes.len() {
         let mut damaged = bytes.clone();
         damaged[place] ^= 0x40;

@@ -15,7 +15,7 @@ pub use crate::crc32::crc32;
 pub use crate::shuffle::{byte_shuffle, byte_unshuffle};
 
 use crate::sh::{MAX_BANDS, coefficient_count};
-use crate::{Error, Grid, codec};
+use crate::{Error, Grid, codec, packed};
 use alloc::borrow::Cow;
 use alloc::format;
 use alloc::string::{String, ToString};
@@ -34,7 +34,8 @@ pub const MAX_SECTIONS: usize = 64;
 /// Sections begin at multiples of this.
 pub const ALIGNMENT: u64 = 8;
 
-/// Radiance coefficients in planes, f16 or f32: element (coefficient * 3 + channel) * node_count + node.
+/// Radiance coefficients in planes, f16 or f32: element (coefficient * 3 + channel) * node_count + node. Packed: see
+/// [`crate::packed`].
 pub const RADIANCE: [u8; 4] = *b"RSH ";
 /// Validity, u8 per node: 1 baked, 0 filled from neighbours. Absent: all baked.
 pub const VALIDITY: [u8; 4] = *b"VALD";
@@ -87,6 +88,8 @@ pub enum Encoding {
     F32 = 0,
     /// 16-bit float, times the header's scale.
     F16 = 1,
+    /// In few bytes, the header's scale being the step: see [`crate::packed`].
+    Packed = 2,
 }
 
 /// What the coefficients are of. Both kinds evaluate alike.
@@ -145,7 +148,8 @@ pub struct Header {
     pub bands: u32,
     /// How coefficients are stored.
     pub encoding: Encoding,
-    /// value = stored * scale: a power of two from 2^-100 to 2^100; 1 for [`Encoding::F32`].
+    /// value = stored * scale: a power of two from 2^-100 to 2^100; 1 for [`Encoding::F32`]. For [`Encoding::Packed`] the step,
+    /// one of [`packed::STEPS`].
     pub scale: f32,
     /// What the coefficients are of.
     pub units: Units,
@@ -178,11 +182,13 @@ impl Header {
     }
 
     /// Bytes of one element of a known section of numbers, which is what a byte shuffle shuffles: `RSH ` and `CERR`
-    /// 2 or 4 by encoding; `COVR`, `SERR`, `WERR` 2; `POSN`, `NORM`, `MESH` 4. None for other sections: they are never shuffled.
+    /// 2 or 4 by encoding (packed: 2 and 4); `COVR`, `SERR`, `WERR` 2; `POSN`, `NORM`, `MESH` 4. None for other sections: they are never shuffled.
     pub fn element_size(&self, id: [u8; 4]) -> Option<usize> {
         match (id, self.encoding) {
-            (RADIANCE | COEFFICIENT_ERRORS, Encoding::F16) | (COVERAGE | STANDARD_ERROR | WORST_ERROR, _) => Some(2),
-            (RADIANCE | COEFFICIENT_ERRORS, Encoding::F32) | (POSITIONS | NORMALS | MESHES, _) => Some(4),
+            (RADIANCE, Encoding::F16 | Encoding::Packed) | (COEFFICIENT_ERRORS, Encoding::F16) => Some(2),
+            (RADIANCE, Encoding::F32) | (COEFFICIENT_ERRORS, Encoding::F32 | Encoding::Packed) => Some(4),
+            (COVERAGE | STANDARD_ERROR | WORST_ERROR, _) => Some(2),
+            (POSITIONS | NORMALS | MESHES, _) => Some(4),
             _ => None,
         }
     }
@@ -191,6 +197,7 @@ impl Header {
     pub fn raw_size(&self, id: [u8; 4]) -> Option<u64> {
         let nodes = self.node_count() as u64;
         let bytes_per_node = match id {
+            RADIANCE if self.encoding == Encoding::Packed => 2 * (self.values_per_node() as u64 + 1),
             RADIANCE | COEFFICIENT_ERRORS => self.values_per_node() as u64 * self.element_size(id)? as u64,
             VALIDITY => 1,
             COVERAGE | STANDARD_ERROR | WORST_ERROR => 2,
@@ -243,7 +250,8 @@ impl Header {
         let encoding = match word(32) {
             0 => Encoding::F32,
             1 => Encoding::F16,
-            other => return Err(unknown("byte 32: encoding", other, "0 or 1")),
+            2 => Encoding::Packed,
+            other => return Err(unknown("byte 32: encoding", other, "0, 1 or 2")),
         };
         if word(28) > MAX_BANDS {
             return Err(unknown("byte 28: SH bands", word(28), "0 to 4"));
@@ -301,6 +309,7 @@ impl Header {
         let expected = match self.encoding {
             Encoding::F32 if self.scale != 1.0 => "1 for 32-bit floats",
             Encoding::F16 if !power_of_two => "a power of two from 2^-100 to 2^100",
+            Encoding::Packed if !packed::STEPS.contains(&self.scale) => "a step from 2^-13 to 1",
             _ => return Ok(()),
         };
         Err(Error::invalid("header, byte 36: scale", format!("{:e}", self.scale), expected))

@@ -43,6 +43,7 @@
 //! | [`gpu`] | a grid as the buffers that the shaders in `shaders/` sample |
 //! | [`format`](mod@format) | the bytes of a file, shared with the writer; `FORMAT.md` says the same in prose |
 //! | [`half`] | 16-bit floats to 32-bit |
+//! | [`packed`] | coefficients in few bytes, with a bound on the error of irradiance |
 //!
 //! # Features
 //! `std` (default) takes square roots and powers from the standard library, `libm` from the crate of that name; without
@@ -64,6 +65,7 @@ pub mod grid;
 pub mod half;
 mod math;
 pub mod nearest;
+pub mod packed;
 pub mod sample;
 pub mod sh;
 mod shuffle;

@@ -193,7 +193,7 @@ impl Volume {
             Coefficients::F16(all) if !self.any_subnormal(nodes) => {
                 const TWO_TO_112: f32 = f32::from_bits((112 + 127) << 23);
                 let rows = nodes.map(|node| all[node as usize * count..].first_chunk().expect("one value at the end"));
-                blend_plain(rows, weights.map(|weight| weight * TWO_TO_112), self.header.scale)
+                blend_plain(rows, weights.map(|weight| weight * TWO_TO_112), self.scale)
             }
             _ => {
                 let mut sum = [0.0; N];

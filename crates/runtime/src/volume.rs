@@ -2,7 +2,7 @@
 //!
 //! A file holds coefficients in planes (all nodes' first value, then all nodes' second, …), which compress well. A
 //! sample wants all values of few nodes, so that parsing turns the planes round: here every node's values lie
-//! together, coefficient by coefficient, red green blue. They stay 16-bit where the file's are.
+//! together, coefficient by coefficient, red green blue. They stay 16-bit where the file's are; packed ones become that, too.
 
 use crate::bricks::Bricks;
 use crate::format::{
@@ -12,7 +12,7 @@ use crate::format::{
 use crate::half::{f16_is_finite, f16_is_subnormal, f16_to_f32};
 use crate::nearest::NearestIndex;
 use crate::walls::Walls;
-use crate::{Cell, Error, Grid, RadianceSh};
+use crate::{Cell, Error, Grid, RadianceSh, packed};
 use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -23,6 +23,8 @@ use core::ops::Range;
 pub struct Volume {
     pub(crate) header: Header,
     pub(crate) coefficients: Coefficients,
+    /// Coefficient = number × scale.
+    pub(crate) scale: f32,
     /// [`VALID`] and [`SUBNORMAL`] of each node; None where all are valid and none is subnormal.
     pub(crate) marks: Option<Vec<u8>>,
     pub(crate) walls: Option<Walls>,
@@ -82,7 +84,7 @@ impl Volume {
         let header = directory.header;
         let sections = Sections { directory };
         sections.check_kind()?;
-        let coefficients = sections.coefficients()?;
+        let (coefficients, scale) = sections.coefficients()?;
         let bricks = sections.bricks()?;
         let walls = sections.walls(bricks.as_ref())?;
         let mut marks = marks(sections.validity()?, &coefficients, &header);
@@ -93,6 +95,7 @@ impl Volume {
         Ok(Volume {
             header,
             coefficients,
+            scale,
             marks,
             walls,
             bricks,
@@ -129,7 +132,7 @@ impl Volume {
             Coefficients::F32(all) => values[..count].copy_from_slice(&all[range]),
             Coefficients::F16(all) => {
                 for (value, &bits) in values.iter_mut().zip(&all[range]) {
-                    *value = f16_to_f32(bits) * self.header.scale;
+                    *value = f16_to_f32(bits) * self.scale;
                 }
             }
         }
@@ -259,7 +262,8 @@ impl Sections<'_> {
         Ok(())
     }
 
-    fn coefficients(&self) -> Result<Coefficients, Error> {
+    /// Node by node, and their scale.
+    fn coefficients(&self) -> Result<(Coefficients, f32), Error> {
         let header = &self.directory.header;
         let bytes = self.directory.checked_section_bytes(RADIANCE)?;
         let bytes = bytes.unwrap_or_default();
@@ -275,9 +279,10 @@ impl Sections<'_> {
                 let odd = position(&values, |value| !value.is_finite());
                 (Coefficients::F32(values), odd)
             }
+            Encoding::Packed => return packed::parse(&bytes, header),
         };
         match odd {
-            None => Ok(coefficients),
+            None => Ok((coefficients, header.scale)),
             Some(place) => Err(Error::invalid(
                 format!("section RSH , node {}, plane {}", place / planes, place % planes),
                 "infinity or NaN",

@@ -7,9 +7,9 @@ use gdibl_runtime::format::crc32;
 use gdibl_runtime::{Error, Limits, Volume};
 
 fn small_files() -> Vec<File> {
-    let mut files = vec![small_grid(), small_sparse(), small_points(), small_vertices()];
+    let mut files = vec![small_grid(), small_sparse(), small_points(), small_vertices(), small_packed()];
     if cfg!(feature = "zstd") {
-        files.extend([small_grid(), small_sparse(), small_points(), small_vertices()].map(File::zstd));
+        files.extend(files.clone().into_iter().map(File::zstd));
     }
     files
 }
@@ -72,7 +72,7 @@ fn parse_refuses_what_it_does_not_know() {
     assert_unsupported(File { version: 2, ..small_grid() }, "version");
     assert_unsupported(File { version: 0, ..small_grid() }, "version");
     assert_unsupported(File { kind: 4, ..small_grid() }, "kind");
-    assert_unsupported(File { encoding: 2, ..small_grid() }, "encoding");
+    assert_unsupported(File { encoding: 3, ..small_grid() }, "encoding");
     assert_unsupported(File { bands: 5, ..small_grid() }, "bands");
     assert_unsupported(File { units: 2, ..small_grid() }, "units");
     let mut file = small_grid();
@@ -131,6 +131,30 @@ fn parse_refuses_numbers_that_are_none() {
     let mut file = small_grid();
     file.sections[1].stored[2] = 2;
     assert_invalid(file, "VALD, node 2");
+}
+
+#[test]
+fn parse_refuses_packed_numbers_that_are_none() {
+    for step in [0.0, -0.01, 1e-4, 1.01, f32::NAN, f32::INFINITY] {
+        assert_invalid(File { scale: step, ..small_packed() }, "step");
+    }
+    for step in [0.5f32.powi(13), 1.0] {
+        assert!(Volume::parse(&File { scale: step, ..small_packed() }.to_bytes()).is_ok());
+    }
+    for code in [-1, i16::MIN] {
+        let number = |node, plane| if (node, plane) == (4, 0) { code } else { packed_pattern(node, plane) };
+        assert_invalid(grid([2, 3, 1], 1, 2, 0.01).packed(number), "RSH , node 4, plane 0");
+    }
+    // One number more or less, a plane too few, the size of an f16 file.
+    let sizes = 6 * 13 * 2;
+    for size in [sizes - 2, sizes + 2, sizes - 12, sizes + 1, 0] {
+        let mut file = small_packed();
+        file.sections[0] = raw(b"RSH ", vec![0; size]);
+        assert_invalid(file, "bytes for 6 nodes");
+    }
+    // Numbers of f16 and f32 files are not taken for packed ones, nor the other way round.
+    assert_invalid(File { encoding: 2, scale: 0.5, ..small_grid() }, "bytes for 6 nodes");
+    assert_invalid(File { encoding: 1, scale: 0.5, ..small_packed() }, "bytes for 6 nodes");
 }
 
 #[test]

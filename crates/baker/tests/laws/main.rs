@@ -9,6 +9,7 @@ mod gather;
 mod geometry;
 mod level;
 mod light;
+mod packing;
 mod paths;
 mod probes;
 mod regions;

@@ -6,7 +6,7 @@ use gdibl_runtime::format::{
     Codec, Encoding, Filter, NORMALS, POSITIONS, RADIANCE, SectionEntry, Units, VALIDITY, crc32, directory_to_bytes,
     place_sections,
 };
-use gdibl_runtime::{Header, Kind};
+use gdibl_runtime::{Header, Kind, packed};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -22,9 +22,10 @@ pub struct Form {
     pub bands: u32,
 }
 
-pub const FORMS: [Form; 4] = [
+pub const FORMS: [Form; 5] = [
     Form { kind: Kind::Grid, encoding: Encoding::F32, bands: 2 },
     Form { kind: Kind::Grid, encoding: Encoding::F16, bands: 2 },
+    Form { kind: Kind::Grid, encoding: Encoding::Packed, bands: 2 },
     Form { kind: Kind::Points, encoding: Encoding::F16, bands: 4 },
     Form { kind: Kind::Vertices, encoding: Encoding::F32, bands: 1 },
 ];
@@ -34,14 +35,18 @@ impl Form {
     pub fn tolerance(self) -> f32 {
         match self.encoding {
             Encoding::F32 => 1e-4,
-            Encoding::F16 => 1e-3,
+            Encoding::F16 | Encoding::Packed => 1e-3,
         }
     }
 
     /// The file.
     pub fn bytes(self) -> Vec<u8> {
         let counts = if self.kind == Kind::Grid { [5, 4, 3] } else { [60, 1, 1] };
-        let scale = if self.encoding == Encoding::F16 { 0.25 } else { 1.0 };
+        let scale = match self.encoding {
+            Encoding::F32 => 1.0,
+            Encoding::F16 => 0.25,
+            Encoding::Packed => 0.005,
+        };
         let (min, max) = ([-1.0, 0.5, 2.0], [3.0, 2.0, 5.0]);
         let header = Header {
             kind: self.kind,
@@ -55,16 +60,22 @@ impl Form {
         };
         let mut random = Random(7);
         let mut contents = Vec::new();
-        let mut radiance = Vec::new();
-        for plane in 0..header.values_per_node() {
-            for _ in 0..header.node_count() {
-                let value = random.between(-1.0, 1.0) + if plane < 3 { 3.0 } else { 0.0 };
-                match self.encoding {
-                    Encoding::F32 => radiance.extend(value.to_le_bytes()),
-                    Encoding::F16 => radiance.extend(half::f16::from_f32(value / scale).to_le_bytes()),
+        let (values, nodes) = (header.values_per_node(), header.node_count());
+        let planes: Vec<f32> = (0..values * nodes)
+            .map(|place| random.between(-1.0, 1.0) + if place / nodes < 3 { 3.0 } else { 0.0 })
+            .collect();
+        let radiance = match self.encoding {
+            Encoding::F32 => planes.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            Encoding::F16 => planes.iter().flat_map(|value| half::f16::from_f32(value / scale).to_le_bytes()).collect(),
+            Encoding::Packed => {
+                let mut numbers = vec![0; nodes * (values + 1)];
+                for (node, numbers) in numbers.chunks_exact_mut(values + 1).enumerate() {
+                    let values: Vec<f32> = (0..values).map(|plane| planes[plane * nodes + node]).collect();
+                    packed::quantise_node(&values, scale, numbers);
                 }
+                packed::numbers_to_bytes(&numbers, values + 1)
             }
-        }
+        };
         contents.push((RADIANCE, radiance));
         contents.push((VALIDITY, (0..60).map(|node| u8::from(node % 7 != 0)).collect()));
         if self.kind != Kind::Grid {

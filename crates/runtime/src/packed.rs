@@ -1,0 +1,459 @@
+//! Coefficients in few bytes: a node's brightness as a logarithm, and all else as ratios to it in equal steps.
+//!
+//! The bound is on irradiance. In its coefficients e_lm = A_l L_lm the basis is orthonormal, so that an error of the
+//! coefficients *is* the error of E over all normals; colour goes through an orthonormal basis, too. Of each coefficient
+//!
+//! ```text
+//!     k_0 = (r + g + b) / √3,   k_1 = (r - b) / √2,   k_2 = (2 g - r - b) / √6
+//!     M   = 2^((code - 16384) / 256)                        code 1 to 32767; 0: the node is dark, all of it is 0
+//!     k   = M s q   with integers q; the first of all, band 0's k_0, is M (1 + s q)
+//! ```
+//! With the step s, M is band 0's k_0 in nodes that light can make: the first q is 0 there, and takes no room. Where noise has
+//! brought band 0 far down, M is the length of all k together, so that no q is large and the bound holds there as well:
+//! of n numbers of L0 to L2 all are off by at most half a step of s M, and the first by at most 2^(1/512) - 1 of M, so that E is
+//! off by no more than `√(0.00136² + n s²/4)` of its own root mean square, and by about `√(0.0008² + n s²/12)` as a rule.
+//!
+//! In a file the numbers lie in planes, each as the difference from the node before. Bytes per node of L2, on two rooms (noise 1.4
+//! and 0.8 %) and two noisy volumes (18 and 3 %), 95 % of the baked nodes off by 0.5 %, filled nodes counted, too:
+//!
+//! | tried | rooms | noisy |
+//! |---|---|---|
+//! | **differences, byte shuffle, zstd -19** (-3) | 10.5, 9.8 (11.3, 10.7) | 23.3, 15.2 (24.3, 15.6) |
+//! | Rice codes of the differences, per 64 nodes | 12.6, 11.6 | 24.1, 14.2 |
+//! | M is the length of all k everywhere | 10.6, 10.0 | 22.9, 15.8 |
+//! | 128 steps of M per octave | 10.4, 9.8 | 23.4, 15.3 |
+//! | steps per node that follow a quarter of its noise, powers of two | 10.4 | 19.2, 13.9 |
+//! | on a GPU: **widths per run of 64 nodes** of the file's order | 17.3, 15.9 | 28.9, 19.0 |
+//! | on a GPU: widths per box of 4×4×4 nodes | 15.0, 13.1 | 27.2, 18.7 |
+//!
+//! Steps that follow the noise are not kept: one step for 2 % brings the volume of 18 % to 17.2, and adds 0.2 % to the whole
+//! error of its median node. Nor are boxes, since not all files are full grids.
+
+use crate::RadianceSh;
+use crate::error::Error;
+use crate::format::Header;
+use crate::half::f32_to_f16;
+use crate::math::square_root;
+use crate::sh::{COSINE, MAX_COEFFICIENTS, band_of};
+use crate::volume::Coefficients;
+use alloc::format;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// The least and the largest step: with less the numbers would not fit 16 bits, with more nothing would be left of the light.
+pub const STEPS: core::ops::RangeInclusive<f32> = 1.220_703_1e-4..=1.0;
+
+/// The most numbers of a node: the code of M, and three per coefficient.
+pub const MAX_NUMBERS: usize = 1 + 3 * MAX_COEFFICIENTS;
+
+/// Steps of log2 M per octave.
+const PER_OCTAVE: i32 = 256;
+/// The code of M = 1.
+const CODE_OF_1: i32 = 64 * PER_OCTAVE;
+
+/// 2^(i / 512), i from 0 to 511: the codes' values, and the middles between them.
+const POWERS: [f64; 512] = {
+    // 2^(1/512), 2^(1/256), … 2^(1/2).
+    const ROOTS: [f64; 9] = [
+        1.001_354_719_892_108_2,
+        1.002_711_275_050_202_5,
+        1.005_429_901_112_802_7,
+        1.010_889_286_051_700_5,
+        1.021_897_148_654_116_7,
+        1.044_273_782_427_413_8,
+        1.090_507_732_665_257_7,
+        1.189_207_115_002_721,
+        core::f64::consts::SQRT_2,
+    ];
+    let mut powers = [1.0; 512];
+    let mut i = 0;
+    while i < 512 {
+        let mut bit = 0;
+        while bit < 9 {
+            if i >> bit & 1 == 1 {
+                powers[i] *= ROOTS[bit];
+            }
+            bit += 1;
+        }
+        i += 1;
+    }
+    powers
+};
+
+/// What a coefficient of radiance is multiplied with before its steps are counted: |A_l|, and band 4's for band 3, too,
+/// which irradiance has no part in.
+const WEIGHTS: [f64; MAX_COEFFICIENTS] = {
+    let mut weights = [0.0; MAX_COEFFICIENTS];
+    let mut index = 0;
+    while index < MAX_COEFFICIENTS {
+        let band = band_of(index);
+        weights[index] = (if band < 3 { COSINE[band] } else { -COSINE[4] }) as f64;
+        index += 1;
+    }
+    weights
+};
+
+/// What [`WEIGHTS`] are divided out by.
+const INVERSE_WEIGHTS: [f32; MAX_COEFFICIENTS] = {
+    let mut inverse = [0.0; MAX_COEFFICIENTS];
+    let mut index = 0;
+    while index < MAX_COEFFICIENTS {
+        inverse[index] = (1.0 / WEIGHTS[index]) as f32;
+        index += 1;
+    }
+    inverse
+};
+
+const ROOT_2: f64 = core::f64::consts::FRAC_1_SQRT_2;
+const ROOT_3: f64 = 0.577_350_269_189_625_8;
+const ROOT_6: f64 = 0.408_248_290_463_863;
+
+/// Quantises a node: `values` are its radiance coefficients, red green blue each, `numbers` one more.
+///
+/// Off by what the module's documentation says, whatever the values, as long as they are finite and the node's M lies within
+/// 2^±63.9: what is darker becomes dark, what is brighter is clipped.
+pub fn quantise_node(values: &[f32], step: f32, numbers: &mut [i16]) {
+    assert!(numbers.len() == values.len() + 1, "{} numbers for {} values", numbers.len(), values.len());
+    let mut k = [0.0f64; MAX_NUMBERS - 1];
+    let mut squares = 0.0;
+    for ((k, rgb), weight) in k.as_chunks_mut::<3>().0.iter_mut().zip(values.as_chunks::<3>().0).zip(WEIGHTS) {
+        let [r, g, b] = rgb.map(|value| f64::from(value) * weight);
+        *k = [ROOT_3 * (r + g + b), ROOT_2 * (r - b), ROOT_6 * (2.0 * g - r - b)];
+        squares += k.iter().map(|v| v * v).sum::<f64>();
+    }
+    // Light that is nowhere negative comes to 2.83 times its own band 0 at the most: all of it from one direction, in one
+    // channel. Then band 0's sum is M; otherwise the whole length.
+    let is_light = k[0] > 0.0 && squares <= 9.0 * k[0] * k[0];
+    let code = nearest_code(if is_light { k[0] } else { square_root(squares) });
+    numbers.fill(0);
+    numbers[0] = code;
+    if code == 0 {
+        return;
+    }
+    let m = f64::from(magnitude(code));
+    let per_step = 1.0 / (m * f64::from(step));
+    for (number, k) in numbers[1..].iter_mut().zip(k) {
+        *number = rounded(k * per_step);
+    }
+    numbers[1] = if is_light { 0 } else { rounded((k[0] - m) * per_step) };
+}
+
+/// Undoes [`quantise_node`]. A code of M below 1 is dark.
+pub fn restore_node(numbers: &[i16], step: f32, values: &mut [f32]) {
+    let (code, numbers) = numbers.split_first().expect("a node has numbers");
+    let m = magnitude(*code);
+    let unit = m * step;
+    const ROOTS: [f32; 3] = [ROOT_3 as f32, ROOT_2 as f32, ROOT_6 as f32];
+    let triples = values.as_chunks_mut::<3>().0.iter_mut().zip(numbers.as_chunks::<3>().0).zip(INVERSE_WEIGHTS);
+    for (index, ((rgb, numbers), weight)) in triples.enumerate() {
+        let [k0, k1, k2] = numbers.map(|q| f32::from(q) * unit);
+        let k0 = if index == 0 { k0 + m } else { k0 };
+        let [k0, k1, k2] = [ROOTS[0] * k0, ROOTS[1] * k1, ROOTS[2] * k2];
+        *rgb = [k0 + k1 - k2, k0 + 2.0 * k2, k0 - k1 - k2].map(|value| value * weight);
+    }
+}
+
+/// M of a code; 0 of those below 1.
+fn magnitude(code: i16) -> f32 {
+    if code < 1 {
+        return 0.0;
+    }
+    let steps = i32::from(code) - CODE_OF_1;
+    let power = POWERS[2 * steps.rem_euclid(PER_OCTAVE) as usize] as f32;
+    power * f32::from_bits(((steps.div_euclid(PER_OCTAVE) + 127) as u32) << 23)
+}
+
+/// The code whose M is nearest in ratio; 0 below the least.
+fn nearest_code(m: f64) -> i16 {
+    if m.is_nan() || m <= 0.0 {
+        return 0;
+    }
+    let exponent = (m.to_bits() >> 52) as i32 - 1023;
+    let mantissa = f64::from_bits(m.to_bits() & (u64::MAX >> 12) | 1023 << 52);
+    // Half steps below it, then the nearest whole one.
+    let halves = POWERS.partition_point(|&power| power <= mantissa) as i32 - 1;
+    let code = CODE_OF_1 + exponent * PER_OCTAVE + (halves + 1) / 2;
+    if code < 1 { 0 } else { code.min(i32::from(i16::MAX)) as i16 }
+}
+
+/// To the nearest, of two equally near ones away from 0; what does not fit becomes what is nearest to it.
+fn rounded(value: f64) -> i16 {
+    (value + if value < 0.0 { -0.5 } else { 0.5 }) as i16
+}
+
+/// Section `RSH ` of nodes in their order, `count` numbers each: planes of differences from the node before, folded so that
+/// small ones are small numbers (0, -1, 1, -2, … become 0, 1, 2, 3, …).
+pub fn numbers_to_bytes(numbers: &[i16], count: usize) -> Vec<u8> {
+    let nodes = numbers.len() / count;
+    let mut bytes = Vec::with_capacity(2 * numbers.len());
+    for plane in 0..count {
+        let mut before = 0i16;
+        for node in 0..nodes {
+            let row = &numbers[node * count..(node + 1) * count];
+            // In the dark all numbers but the code may be what they want: the node before's.
+            let number = if row[0] < 1 && plane > 0 { before } else { row[plane] };
+            let difference = number.wrapping_sub(before);
+            bytes.extend(((difference << 1 ^ difference >> 15) as u16).to_le_bytes());
+            before = number;
+        }
+    }
+    bytes
+}
+
+/// Nodes that are turned round together.
+const BLOCK: usize = 64;
+
+/// The coefficients in section `RSH `, and the scale of those that become f16.
+///
+/// They become f16 with a power of two as scale that puts the brightest M to 2^11, so that no light overflows and from 2^-25 of that on
+/// f16 adds at most 2^-11 to the relative error. In volumes of more contrast, and where a number overflows all the same, f32.
+pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<(Coefficients, f32), Error> {
+    let count = header.values_per_node() + 1;
+    let (least, most) = range_of_codes(&bytes[..2 * header.node_count()])?;
+    let exponent = (most - CODE_OF_1).div_euclid(PER_OCTAVE) + 1 - 11;
+    let scale = f32::from_bits(((exponent + 127) as u32) << 23);
+    if most - least <= 25 * PER_OCTAVE {
+        let inverse = 1.0 / scale;
+        let values = restore(bytes, header, count, |value| f32_to_f16(value * inverse));
+        if values.iter().fold(true, |all, &bits| all & crate::half::f16_is_finite(bits)) {
+            return Ok((Coefficients::F16(values), scale));
+        }
+    }
+    Ok((Coefficients::F32(restore(bytes, header, count, |value| value)), 1.0))
+}
+
+/// The least and the largest code of M of nodes that are not dark; [`CODE_OF_1`] twice if there is none.
+fn range_of_codes(plane: &[u8]) -> Result<(i32, i32), Error> {
+    let mut range = None;
+    let mut code = 0i16;
+    for (node, folded) in plane.as_chunks().0.iter().enumerate() {
+        code = code.wrapping_add(unfolded(u16::from_le_bytes(*folded)));
+        if code < 0 {
+            return Err(Error::invalid(
+                format!("section RSH , node {node}, plane 0"),
+                format!("the code {code}"),
+                "0 to 32767",
+            ));
+        }
+        if code > 0 {
+            let code = i32::from(code);
+            let (least, most) = range.unwrap_or((code, code));
+            range = Some((code.min(least), code.max(most)));
+        }
+    }
+    Ok(range.unwrap_or((CODE_OF_1, CODE_OF_1)))
+}
+
+fn unfolded(folded: u16) -> i16 {
+    (folded >> 1) as i16 ^ -((folded & 1) as i16)
+}
+
+/// Node by node, and one more value at the end: as [`Coefficients`] are.
+fn restore<T: Copy + Default>(bytes: &[u8], header: &Header, count: usize, convert: impl Fn(f32) -> T) -> Vec<T> {
+    let nodes = header.node_count();
+    let elements = bytes.as_chunks::<2>().0;
+    let mut values = vec![T::default(); nodes * (count - 1) + 1];
+    // The numbers of a block's nodes, node by node; and those of the node before it.
+    let mut numbers = [0i16; BLOCK * MAX_NUMBERS];
+    let mut before = [0i16; MAX_NUMBERS];
+    let mut node_values = [0.0f32; 3 * MAX_COEFFICIENTS];
+    let node_values = &mut node_values[..count - 1];
+    for (block, rows) in values[..nodes * (count - 1)].chunks_mut(BLOCK * (count - 1)).enumerate() {
+        let first = block * BLOCK;
+        let in_block = rows.len() / (count - 1);
+        for (plane, before) in before[..count].iter_mut().enumerate() {
+            let column = &elements[plane * nodes + first..][..in_block];
+            for (folded, row) in column.iter().zip(numbers.chunks_exact_mut(count)) {
+                *before = before.wrapping_add(unfolded(u16::from_le_bytes(*folded)));
+                row[plane] = *before;
+            }
+        }
+        for (row, numbers) in rows.chunks_exact_mut(count - 1).zip(numbers.chunks_exact(count)) {
+            restore_node(numbers, header.scale, node_values);
+            for (value, restored) in row.iter_mut().zip(&*node_values) {
+                *value = convert(*restored);
+            }
+        }
+    }
+    values
+}
+
+/// What shaders restore nodes of `values` values from: see [`gpu`](crate::gpu).
+///
+/// # Panics
+/// If the step is not one of [`STEPS`].
+pub(crate) fn shader_words(nodes: usize, values: usize, step: f32, node_sh: impl Fn(usize) -> RadianceSh) -> Vec<u32> {
+    assert!(STEPS.contains(&step), "step {step} not in {STEPS:?}");
+    let count = values + 1;
+    let head_words = nodes.div_ceil(BLOCK) * (count + 2);
+    let mut words = vec![0u32; head_words];
+    let mut numbers = [0i16; BLOCK * MAX_NUMBERS];
+    for block in 0..nodes.div_ceil(BLOCK) {
+        let in_block = BLOCK.min(nodes - block * BLOCK);
+        let numbers = &mut numbers[..in_block * count];
+        for (place, numbers) in numbers.chunks_exact_mut(count).enumerate() {
+            let sh = node_sh(block * BLOCK + place);
+            quantise_node(&sh.coefficients.as_flattened()[..values], step, numbers);
+        }
+        let mut least = [0i32; MAX_NUMBERS];
+        let mut widths = [0u32; MAX_NUMBERS];
+        for number in 0..count {
+            let all = || numbers.iter().skip(number).step_by(count).map(|&q| i32::from(q));
+            least[number] = all().min().unwrap_or(0);
+            widths[number] = 32 - (all().max().unwrap_or(0) - least[number]).leading_zeros();
+        }
+        let head = block * (count + 2);
+        words[head] = words.len() as u32;
+        words[head + 1] = widths.iter().sum();
+        for number in 0..count {
+            words[head + 2 + number] = least[number] as u32 & 0xffff | widths[number] << 16;
+        }
+        // What is not a whole word yet.
+        let (mut rest, mut bits) = (0u64, 0);
+        for (place, &q) in numbers.iter().enumerate() {
+            let number = place % count;
+            rest |= ((i32::from(q) - least[number]) as u64) << bits;
+            bits += widths[number];
+            if bits >= 32 {
+                words.push(rest as u32);
+                (rest, bits) = (rest >> 32, bits - 32);
+            }
+        }
+        if bits > 0 {
+            words.push(rest as u32);
+        }
+    }
+    words.push(0);
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::prelude::v1::*;
+
+    fn random(state: &mut u64) -> f64 {
+        *state ^= *state << 13;
+        *state ^= *state >> 7;
+        *state ^= *state << 17;
+        (*state >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// What the module's documentation promises at most of E's root mean square, for numbers of E and the step.
+    fn bound(numbers: usize, step: f32) -> f64 {
+        (0.00136f64.powi(2) + numbers as f64 * f64::from(step).powi(2) / 4.0).sqrt()
+    }
+
+    /// The root mean square over normals and channels of what E is off by, over that of E.
+    fn error_of_irradiance(values: &[f32], restored: &[f32]) -> f64 {
+        let (mut error, mut power) = (0.0, 0.0);
+        for (i, (value, restored)) in values.iter().zip(restored).enumerate() {
+            let factor = f64::from(COSINE[band_of(i / 3)]);
+            error += (factor * (f64::from(*value) - f64::from(*restored))).powi(2);
+            power += (factor * f64::from(*value)).powi(2);
+        }
+        if power > 0.0 { (error / power).sqrt() } else { error }
+    }
+
+    fn check(values: &[f32], step: f32, what: &str) -> f64 {
+        let mut numbers = vec![0; values.len() + 1];
+        quantise_node(values, step, &mut numbers);
+        let mut restored = vec![0.0; values.len()];
+        restore_node(&numbers, step, &mut restored);
+        let error = error_of_irradiance(values, &restored);
+        assert!(error <= bound(values.len(), step), "{what}, step {step}: {error} of {}", bound(values.len(), step));
+        error
+    }
+
+    #[test]
+    fn error_of_irradiance_stays_within_the_bound_for_any_node() {
+        let mut state = 1;
+        let mut total = [0.0; 2];
+        for round in 0..20_000 {
+            let count = [1, 4, 9][round % 3];
+            let step = [2e-4, 1e-3, 3.4e-3, 0.01, 0.05][round / 3 % 5];
+            // Numbers alike or of very different sizes, of either sign, of any brightness; a channel nearly dark; band 0 all
+            // but gone, or negative, as noise may leave it.
+            let level = 10f64.powf(-10.0 + 20.0 * random(&mut state));
+            let spread = [0.0, 1.0, 6.0][round / 15 % 3];
+            let channels = [[1.0, 1.0, 1.0], [1.0, 1e-6, 0.3], [0.0, 0.0, 1.0]][round / 45 % 3];
+            let band_0 = [1.0, 3.0, 0.01, -0.5, 0.0][round / 135 % 5];
+            let mut values = vec![0.0f32; 3 * count];
+            for (i, value) in values.iter_mut().enumerate() {
+                let size = level * 10f64.powf(-spread * random(&mut state)) * channels[i % 3];
+                let sign = if i < 3 { band_0 } else { 2.0 * random(&mut state) - 1.0 };
+                *value = (size * sign) as f32;
+            }
+            let error = check(&values, step, "random");
+            if step == 3.4e-3 && count == 9 {
+                total = [total[0] + error * error, total[1] + 1.0];
+            }
+        }
+        // As a rule much less than at most.
+        let typical = (total[0] / total[1]).sqrt();
+        assert!(typical < (0.0008f64.powi(2) + 27.0 * 3.4e-3f64.powi(2) / 12.0).sqrt(), "{typical}");
+    }
+
+    #[test]
+    fn light_from_one_direction_in_one_channel_leaves_the_first_number_0() {
+        let mut state = 2;
+        for _ in 0..1000 {
+            let direction = [0, 1, 2].map(|_| 2.0 * random(&mut state) - 1.0);
+            let length = direction.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let mut functions = [0.0; MAX_COEFFICIENTS];
+            crate::sh::basis(4, direction.map(|v| (v / length) as f32), &mut functions);
+            for bands in 0..=4 {
+                let values: Vec<f32> =
+                    functions[..crate::sh::coefficient_count(bands)].iter().flat_map(|&f| [0.0, f, 0.0]).collect();
+                let mut numbers = vec![0; values.len() + 1];
+                quantise_node(&values, 0.003, &mut numbers);
+                assert_eq!(numbers[1], 0, "L{bands}, {direction:?}");
+                check(&values, 0.003, "one direction");
+            }
+        }
+    }
+
+    #[test]
+    fn dark_too_dark_and_too_bright_nodes_stay_finite() {
+        for (value, expected) in [(0.0, 0.0), (1e-30, 0.0), (-1e-30, 0.0), (f32::MAX, 1e18), (f32::MIN, -1e18)] {
+            let mut numbers = [0; 28];
+            quantise_node(&[value; 27], 0.003, &mut numbers);
+            let mut restored = [0.0; 27];
+            restore_node(&numbers, 0.003, &mut restored);
+            for value in restored {
+                let in_order = if expected == 0.0 { value == 0.0 } else { value / expected > 1.0 };
+                assert!(value.is_finite() && in_order, "{value} for {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_code_is_the_nearest_of_its_own_magnitude() {
+        assert_eq!(magnitude(CODE_OF_1 as i16), 1.0);
+        assert_eq!(magnitude(0), 0.0);
+        for code in 1..=i16::MAX {
+            let m = f64::from(magnitude(code));
+            let truth = (f64::from(code) / 256.0 - 64.0).exp2();
+            assert!((m / truth - 1.0).abs() < 1e-7, "{code}: {m}, not {truth}");
+            for factor in [1.0, 1.0013, 0.9987] {
+                assert_eq!(nearest_code(m * factor), code);
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_restored_is_quantised_to_the_same_numbers() {
+        let mut state = 3;
+        for _ in 0..1000 {
+            let mut values = [0.0; 27].map(|_| (random(&mut state) - 0.5) as f32);
+            values[..3].copy_from_slice(&[1.0, 0.5, 2.0]);
+            let mut numbers = [[0; 28]; 2];
+            quantise_node(&values, 0.0034, &mut numbers[0]);
+            // Rounded to f16 in between, as a volume in memory is.
+            restore_node(&numbers[0], 0.0034, &mut values);
+            values = values.map(|value| crate::half::f16_to_f32(f32_to_f16(value)));
+            quantise_node(&values, 0.0034, &mut numbers[1]);
+            assert_eq!(numbers[0], numbers[1]);
+        }
+    }
+}

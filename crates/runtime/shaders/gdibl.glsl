@@ -36,10 +36,11 @@ layout(std140, GDIBL_VOLUME) uniform GdiblVolume {
     uint marked;          // 0: every node is valid and there are no walls
     uint levels;          // 0: a grid. Else a sparse one, its largest cells 2^levels places wide
     uint valid_at;        // sparse: where in gdibl_marks the bits of valid nodes begin
-    uint zero;
+    float step;           // of packed coefficients; 0: they are f16
 } gdibl_volume;
 
 // Radiance coefficients as pairs of f16, 2, 6 or 14 words per node: red, green, blue of coefficient 0, then of 1, ...
+// Or packed, where the volume has a step: per 64 nodes a head of 3 C + 3 words (C = 1, 4, 9), then rows of bits; see gdibl_packed.
 layout(std430, GDIBL_COEFFICIENTS) readonly buffer GdiblCoefficients {
     uint gdibl_coefficients[];
 };
@@ -69,9 +70,62 @@ vec2 gdibl_pair(uint at) {
     return unpackHalf2x16(gdibl_coefficients[at]);
 }
 
+// The next number of a row: what is over the least of its 64 nodes, in as many bits as that takes. `place` is that of its words
+// in the head, and of its first bit in the rows; both move on.
+int gdibl_number(uint rows, inout uvec2 place) {
+    uint head = gdibl_coefficients[place.x];
+    uint width = head >> 16u;
+    uint word = rows + (place.y >> 5u);
+    uint shift = place.y & 31u;
+    uint bits = gdibl_coefficients[word] >> shift;
+    if (shift + width > 32u) {
+        bits |= gdibl_coefficients[word + 1u] << (32u - shift);
+    }
+    place += uvec2(1u, width);
+    return (int(head << 16u) >> 16) + int(bits & ((1u << width) - 1u));
+}
+
+// Irradiance of one node in packed coefficients. Its numbers q are steps of irradiance's coefficients in M, which is the first of
+// all in an orthonormal basis of colour: (r + g + b) / sqrt(3), (r - b) / sqrt(2), (2 g - r - b) / sqrt(6). The constants are
+// those of the basis functions.
+vec3 gdibl_packed(uint node, vec3 n) {
+    float functions[9];
+    functions[0] = 0.28209479;
+    functions[1] = 0.48860251 * n.y;
+    functions[2] = 0.48860251 * n.z;
+    functions[3] = 0.48860251 * n.x;
+    functions[4] = 1.0925484 * n.x * n.y;
+    functions[5] = 1.0925484 * n.y * n.z;
+    functions[6] = 0.31539157 * (3.0 * n.z * n.z - 1.0);
+    functions[7] = 1.0925484 * n.x * n.z;
+    functions[8] = 0.54627422 * (n.x * n.x - n.y * n.y);
+    uint count = (gdibl_volume.bands + 1u) * (gdibl_volume.bands + 1u);
+    uint head = (node >> 6u) * (3u * count + 3u);
+    uint rows = gdibl_coefficients[head];
+    uvec2 place = uvec2(head + 2u, (node & 63u) * gdibl_coefficients[head + 1u]);
+    int code = gdibl_number(rows, place);
+    if (code < 1) {
+        return vec3(0.0);
+    }
+    float m = exp2(float(code - 16384) / 256.0);
+    vec3 k = vec3(0.0);
+    for (uint i = 0u; i < count; i++) {
+        int q0 = gdibl_number(rows, place);
+        int q1 = gdibl_number(rows, place);
+        int q2 = gdibl_number(rows, place);
+        k += functions[i] * vec3(float(q0), float(q1), float(q2));
+    }
+    k = gdibl_volume.step * k + vec3(functions[0], 0.0, 0.0);
+    k *= m * vec3(0.57735027, 0.70710678, 0.40824829);
+    return vec3(k.x + k.y - k.z, k.x + 2.0 * k.z, k.x - k.y - k.z);
+}
+
 // Irradiance of one node over `scale`, for a surface with this normal: sum of A_l L_lm Y_lm(normal), A = pi, 2 pi/3, pi/4.
 // The constants are A_l times that of the basis function.
 vec3 gdibl_node_irradiance(uint node, vec3 n) {
+    if (gdibl_volume.step > 0.0) {
+        return gdibl_packed(node, n);
+    }
     // Band 0.
     uint at = node * (gdibl_volume.bands == 0u ? 2u : gdibl_volume.bands == 1u ? 6u : 14u);
     vec2 a0 = gdibl_pair(at);

@@ -36,10 +36,11 @@ cbuffer GdiblVolume : register(GDIBL_VOLUME) {
     uint gdibl_marked;            // 0: every node is valid and there are no walls
     uint gdibl_levels;            // 0: a grid. Else a sparse one, its largest cells 2^levels places wide
     uint gdibl_valid_at;          // sparse: where in gdibl_marks the bits of valid nodes begin
-    uint gdibl_zero;
+    float gdibl_step;             // of packed coefficients; 0: they are f16
 };
 
 // Radiance coefficients as pairs of f16, 2, 6 or 14 words per node: red, green, blue of coefficient 0, then of 1, ...
+// Or packed, where the volume has a step: per 64 nodes a head of 3 C + 3 words (C = 1, 4, 9), then rows of bits; see gdibl_packed.
 StructuredBuffer<uint> gdibl_coefficients : register(GDIBL_COEFFICIENTS);
 
 // Grid: 3 words per 32 nodes: bits of valid nodes; bits of nodes which are the lowest corner of a cell with walls; where in
@@ -64,9 +65,62 @@ float2 gdibl_pair(uint at) {
     return float2(f16tof32(word & 0xffffu), f16tof32(word >> 16u));
 }
 
+// The next number of a row: what is over the least of its 64 nodes, in as many bits as that takes. `place` is that of its words
+// in the head, and of its first bit in the rows; both move on.
+int gdibl_number(uint rows, inout uint2 place) {
+    uint head = gdibl_coefficients[place.x];
+    uint width = head >> 16u;
+    uint word = rows + (place.y >> 5u);
+    uint shift = place.y & 31u;
+    uint bits = gdibl_coefficients[word] >> shift;
+    if (shift + width > 32u) {
+        bits |= gdibl_coefficients[word + 1u] << (32u - shift);
+    }
+    place += uint2(1u, width);
+    return (asint(head << 16u) >> 16) + int(bits & ((1u << width) - 1u));
+}
+
+// Irradiance of one node in packed coefficients. Its numbers q are steps of irradiance's coefficients in M, which is the first of
+// all in an orthonormal basis of colour: (r + g + b) / sqrt(3), (r - b) / sqrt(2), (2 g - r - b) / sqrt(6). The constants are
+// those of the basis functions.
+float3 gdibl_packed(uint node, float3 n) {
+    float functions[9];
+    functions[0] = 0.28209479;
+    functions[1] = 0.48860251 * n.y;
+    functions[2] = 0.48860251 * n.z;
+    functions[3] = 0.48860251 * n.x;
+    functions[4] = 1.0925484 * n.x * n.y;
+    functions[5] = 1.0925484 * n.y * n.z;
+    functions[6] = 0.31539157 * (3.0 * n.z * n.z - 1.0);
+    functions[7] = 1.0925484 * n.x * n.z;
+    functions[8] = 0.54627422 * (n.x * n.x - n.y * n.y);
+    uint count = (gdibl_bands + 1u) * (gdibl_bands + 1u);
+    uint head = (node >> 6u) * (3u * count + 3u);
+    uint rows = gdibl_coefficients[head];
+    uint2 place = uint2(head + 2u, (node & 63u) * gdibl_coefficients[head + 1u]);
+    int code = gdibl_number(rows, place);
+    if (code < 1) {
+        return float3(0.0, 0.0, 0.0);
+    }
+    float m = exp2(float(code - 16384) / 256.0);
+    float3 k = float3(0.0, 0.0, 0.0);
+    [loop] for (uint i = 0u; i < count; i++) {
+        int q0 = gdibl_number(rows, place);
+        int q1 = gdibl_number(rows, place);
+        int q2 = gdibl_number(rows, place);
+        k += functions[i] * float3(float(q0), float(q1), float(q2));
+    }
+    k = gdibl_step * k + float3(functions[0], 0.0, 0.0);
+    k *= m * float3(0.57735027, 0.70710678, 0.40824829);
+    return float3(k.x + k.y - k.z, k.x + 2.0 * k.z, k.x - k.y - k.z);
+}
+
 // Irradiance of one node over `scale`, for a surface with this normal: sum of A_l L_lm Y_lm(normal), A = pi, 2 pi/3, pi/4.
 // The constants are A_l times that of the basis function.
 float3 gdibl_node_irradiance(uint node, float3 n) {
+    if (gdibl_step > 0.0) {
+        return gdibl_packed(node, n);
+    }
     // Band 0.
     uint at = node * (gdibl_bands == 0u ? 2u : (gdibl_bands == 1u ? 6u : 14u));
     float2 a0 = gdibl_pair(at);

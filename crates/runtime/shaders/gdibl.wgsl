@@ -25,13 +25,14 @@ struct GdiblVolume {
     marked: u32,                // 0: every node is valid and there are no walls
     levels: u32,                // 0: a grid. Else a sparse one, its largest cells 2^levels places wide
     valid_at: u32,              // sparse: where in gdibl_marks the bits of valid nodes begin
-    zero: u32,
+    step: f32,                  // of packed coefficients; 0: they are f16
 }
 
 // Change the group and the bindings to yours.
 @group(0) @binding(0) var<uniform> gdibl_volume: GdiblVolume;
 
 // Radiance coefficients as pairs of f16, 2, 6 or 14 words per node: red, green, blue of coefficient 0, then of 1, ...
+// Or packed, where the volume has a step: per 64 nodes a head of 3 C + 3 words (C = 1, 4, 9), then rows of bits; see gdibl_packed.
 @group(0) @binding(1) var<storage, read> gdibl_coefficients: array<u32>;
 
 // Grid: 3 words per 32 nodes: bits of valid nodes; bits of nodes which are the lowest corner of a cell with walls; where in
@@ -51,9 +52,59 @@ const GDIBL_NO_PLANE: u32 = 0xffffu;
 // No node, no record.
 const GDIBL_NONE: u32 = 0xffffffffu;
 
+// The next number of a row: what is over the least of its 64 nodes, in as many bits as that takes. `place` is that of its words
+// in the head, and of its first bit in the rows; both move on.
+fn gdibl_number(rows: u32, place: ptr<function, vec2<u32>>) -> i32 {
+    let head = gdibl_coefficients[(*place).x];
+    let width = head >> 16u;
+    let word = rows + ((*place).y >> 5u);
+    let shift = (*place).y & 31u;
+    var bits = gdibl_coefficients[word] >> shift;
+    if shift + width > 32u {
+        bits |= gdibl_coefficients[word + 1u] << (32u - shift);
+    }
+    *place += vec2<u32>(1u, width);
+    return (bitcast<i32>(head << 16u) >> 16u) + i32(bits & ((1u << width) - 1u));
+}
+
+// Irradiance of one node in packed coefficients. Its numbers q are steps of irradiance's coefficients in M, which is the first of
+// all in an orthonormal basis of colour: (r + g + b) / sqrt(3), (r - b) / sqrt(2), (2 g - r - b) / sqrt(6). The constants are
+// those of the basis functions.
+fn gdibl_packed(node: u32, normal: vec3<f32>) -> vec3<f32> {
+    let n = normal;
+    var functions = array<f32, 9>(
+        0.28209479,
+        0.48860251 * n.y, 0.48860251 * n.z, 0.48860251 * n.x,
+        1.0925484 * n.x * n.y, 1.0925484 * n.y * n.z, 0.31539157 * (3.0 * n.z * n.z - 1.0), 1.0925484 * n.x * n.z,
+        0.54627422 * (n.x * n.x - n.y * n.y)
+    );
+    let count = (gdibl_volume.bands + 1u) * (gdibl_volume.bands + 1u);
+    let head = (node >> 6u) * (3u * count + 3u);
+    let rows = gdibl_coefficients[head];
+    var place = vec2<u32>(head + 2u, (node & 63u) * gdibl_coefficients[head + 1u]);
+    let code = gdibl_number(rows, &place);
+    if code < 1 {
+        return vec3<f32>(0.0);
+    }
+    let m = exp2(f32(code - 16384) / 256.0);
+    var k = vec3<f32>(0.0);
+    for (var i = 0u; i < count; i++) {
+        let q0 = gdibl_number(rows, &place);
+        let q1 = gdibl_number(rows, &place);
+        let q2 = gdibl_number(rows, &place);
+        k += functions[i] * vec3<f32>(f32(q0), f32(q1), f32(q2));
+    }
+    k = gdibl_volume.step * k + vec3<f32>(functions[0], 0.0, 0.0);
+    k *= m * vec3<f32>(0.57735027, 0.70710678, 0.40824829);
+    return vec3<f32>(k.x + k.y - k.z, k.x + 2.0 * k.z, k.x - k.y - k.z);
+}
+
 // Irradiance of one node over `scale`, for a surface with this normal: sum of A_l L_lm Y_lm(normal), A = pi, 2 pi/3, pi/4.
 // The constants are A_l times that of the basis function.
 fn gdibl_node_irradiance(node: u32, normal: vec3<f32>) -> vec3<f32> {
+    if gdibl_volume.step > 0.0 {
+        return gdibl_packed(node, normal);
+    }
     let n = normal;
     // Band 0.
     let at = node * select(select(14u, 6u, gdibl_volume.bands == 1u), 2u, gdibl_volume.bands == 0u);

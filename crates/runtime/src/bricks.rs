@@ -315,7 +315,7 @@ impl Bricks {
 
     /// 38 words per brick for shaders, see [`gpu`](crate::gpu). `first` is where the record of the first cell with walls will be; there
     /// the records have to be in the order of [`Bricks::order`].
-    pub(crate) fn packed(&self, grid: &Grid, walled: &[WallCell], first: u32) -> Vec<u32> {
+    pub(crate) fn shader_words(&self, grid: &Grid, walled: &[WallCell], first: u32) -> Vec<u32> {
         let mut words = Vec::with_capacity(self.bricks.len() * WORDS);
         let mut walls = vec![[0u64; BRICK as usize]; self.bricks.len()];
         for cell in walled {

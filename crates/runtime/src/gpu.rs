@@ -14,9 +14,16 @@
 //!   48   u32      marked            0: every node is valid and no cell has a wall
 //!   52   u32      levels            0: a grid. Else a sparse one, its largest cells 2^levels places wide
 //!   56   u32      valid_at          sparse: the first word in `marks` of the bits of valid nodes
-//!   60            zeros
+//!   60   f32      step              of packed coefficients; 0: they are f16
 //! coefficients  2, 6 or 14 words per node (L0, L1, L2): f16 × 3 per coefficient, red green blue, coefficient by
 //!               coefficient, two to a word, the first in the lower half; 0 after the last where their number is odd
+//!   or packed,  numbers of [`packed`](crate::packed): heads, 3 C + 3 words per 64 nodes (C = 1, 4, 9 coefficients), then rows
+//!      word 0   where in `coefficients` the rows of these nodes begin
+//!      word 1   bits of a row
+//!   words 2 …   of the code of M, then of each number: the least of these nodes, i16 in the lower half; the bits that what is
+//!               over it takes, 0 to 16, in the upper half
+//!        rows   node by node, and in each number by number, that many bits, low ones first, without gaps; a word of zeros
+//!               after the last
 //! marks         grid: 3 words per 32 nodes; without meaning if nothing is marked. For node n those at 3 (n / 32), and bit n % 32 of them:
 //!      word 0   1: valid
 //!      word 1   1: walls go through the cell of which n is the lowest corner
@@ -44,13 +51,16 @@
 //!
 //! **Rounding**: f16 files go over bit by bit. An f32 number v is rounded to f16 with a power of two as scale that brings
 //! the volume's largest number to 2¹⁴ and more: off by at most |v| 2⁻¹¹, or the largest's 2⁻³⁹ where that is more.
+//!
+//! **Packed** coefficients take a quarter to a third of the memory of f16, and more work per node: see
+//! [`Volume::gpu_buffers_packed`].
 
 use crate::bricks::Bricks;
 use crate::half::f32_to_f16;
 use crate::sh::coefficient_count;
 use crate::volume::{Coefficients, VALID, WALLED};
 use crate::walls::{WallCell, Walls};
-use crate::{Error, Grid, Volume};
+use crate::{Error, Grid, Volume, packed};
 use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -68,7 +78,7 @@ pub struct GpuBuffers {
     pub min: [f64; 3],
     /// The uniform buffer.
     pub header: [u8; 64],
-    /// Pairs of f16, node by node.
+    /// Pairs of f16, node by node; or packed.
     pub coefficients: Vec<u32>,
     /// Three words per 32 nodes.
     pub marks: Vec<u32>,
@@ -81,21 +91,45 @@ impl Volume {
     /// coefficients has no number that fits a u32 (300 million nodes of L2: 17 GB).
     pub fn gpu_buffers(&self) -> Result<GpuBuffers, Error> {
         let header = &self.header;
-        let Some(grid) = self.grid() else {
-            return Err(Error::unsupported("kind", format!("{:?}", header.kind), "a grid, for shaders"));
-        };
+        let grid = self.gpu_grid()?;
         let bands = header.bands.min(GPU_BANDS);
         let words = (header.node_count() as u64).saturating_mul(words_per_node(bands) as u64);
         if words > u64::from(u32::MAX) {
             return Err(Error::unsupported("counts", format!("{words} words"), "at most 4294967295, for shaders"));
         }
-        let (scale, coefficients) = self.packed_coefficients(bands);
+        let (scale, coefficients) = self.half_coefficients(bands);
+        Ok(self.buffers(&grid, Shaded { bands, scale, step: 0.0, coefficients }))
+    }
+
+    /// The same with packed coefficients: of a packed file in its own numbers, where `step` is its header's scale; of another
+    /// quantised here, E of most nodes being off by 1.5 times the step at L2, once at L1: see [`packed`] for the bound.
+    ///
+    /// # Panics
+    /// If the step is not one of [`packed::STEPS`].
+    pub fn gpu_buffers_packed(&self, step: f32) -> Result<GpuBuffers, Error> {
+        let grid = self.gpu_grid()?;
+        let bands = self.header.bands.min(GPU_BANDS);
+        let values = 3 * coefficient_count(bands);
+        let coefficients = packed::shader_words(self.node_count(), values, step, |node| self.node_sh(node));
+        if coefficients.len() as u64 > u64::from(u32::MAX) {
+            let found = format!("{} words", coefficients.len());
+            return Err(Error::unsupported("counts", found, "at most 4294967295, for shaders"));
+        }
+        Ok(self.buffers(&grid, Shaded { bands, scale: 1.0, step, coefficients }))
+    }
+
+    fn gpu_grid(&self) -> Result<Grid, Error> {
+        let kind = self.header.kind;
+        self.grid().ok_or_else(|| Error::unsupported("kind", format!("{kind:?}"), "a grid, for shaders"))
+    }
+
+    fn buffers(&self, grid: &Grid, shaded: Shaded) -> GpuBuffers {
         let (planes, cells) = self.walls.as_ref().map_or((&[][..], &[][..]), Walls::tables);
         let is_marked = self.marks.is_some() || self.walls.is_some();
         let first = planes.len() as u32;
         let (marks, valid_at) = match (&self.bricks, &self.marks) {
             (Some(bricks), marks) => {
-                let mut words = bricks.packed(&grid, cells, first);
+                let mut words = bricks.shader_words(grid, cells, first);
                 let valid_at = words.len() as u32;
                 if is_marked {
                     let valid = |block: usize| {
@@ -118,7 +152,7 @@ impl Volume {
             None => walls.extend(cells.iter().map(packed_cell)),
             Some(bricks) => {
                 let mut cells = cells.to_vec();
-                cells.sort_by_key(|cell| bricks.order(&grid, cell.cell));
+                cells.sort_by_key(|cell| bricks.order(grid, cell.cell));
                 walls.extend(cells.iter().map(packed_cell));
             }
         }
@@ -127,18 +161,18 @@ impl Volume {
         }
         let bias = self.walls.as_ref().map_or(0.0, |walls| walls.bias);
         let levels = self.bricks.as_ref().map_or(0, Bricks::levels);
-        let header = header_bytes(&grid, [bands, u32::from(is_marked), levels, valid_at], [scale, bias]);
-        Ok(GpuBuffers { min: self.header.min, header, coefficients, marks, walls })
+        let header = header_bytes(grid, &shaded, bias, [u32::from(is_marked), levels, valid_at]);
+        GpuBuffers { min: self.header.min, header, coefficients: shaded.coefficients, marks, walls }
     }
 
     /// The scale and the words of all nodes.
-    fn packed_coefficients(&self, bands: u32) -> (f32, Vec<u32>) {
+    fn half_coefficients(&self, bands: u32) -> (f32, Vec<u32>) {
         let (stride, count) = (self.header.values_per_node(), 3 * coefficient_count(bands));
         let nodes = self.node_count();
         match &self.coefficients {
             Coefficients::F16(all) => {
                 let rows = all[..nodes * stride].chunks_exact(stride);
-                (self.header.scale, pairs(rows, count, |&bits| bits))
+                (self.scale, pairs(rows, count, |&bits| bits))
             }
             Coefficients::F32(all) => {
                 let rows = || all[..nodes * stride].chunks_exact(stride);
@@ -151,6 +185,14 @@ impl Volume {
             }
         }
     }
+}
+
+/// Coefficients as shaders get them, and what the header says of them.
+struct Shaded {
+    bands: u32,
+    scale: f32,
+    step: f32,
+    coefficients: Vec<u32>,
 }
 
 const fn words_per_node(bands: u32) -> usize {
@@ -191,7 +233,7 @@ fn packed_cell(cell: &WallCell) -> [u32; 4] {
     [a | b << 16, c | u32::from(cell.ends) << 16, masks(0), masks(4)]
 }
 
-fn header_bytes(grid: &Grid, [bands, marked, levels, valid_at]: [u32; 4], [scale, bias]: [f32; 2]) -> [u8; 64] {
+fn header_bytes(grid: &Grid, shaded: &Shaded, bias: f32, [marked, levels, valid_at]: [u32; 3]) -> [u8; 64] {
     let extent: [f64; 3] = core::array::from_fn(|axis| grid.max[axis] - grid.min[axis]);
     let nodes_per_metre = |axis: usize| match grid.counts[axis] {
         1 => 0.0,
@@ -204,11 +246,11 @@ fn header_bytes(grid: &Grid, [bands, marked, levels, valid_at]: [u32; 4], [scale
         float(nodes_per_metre(0)),
         float(nodes_per_metre(1)),
         float(nodes_per_metre(2)),
-        float(scale),
+        float(shaded.scale),
         width,
         height,
         depth,
-        bands,
+        shaded.bands,
         float(extent[0] as f32),
         float(extent[1] as f32),
         float(extent[2] as f32),
@@ -216,6 +258,7 @@ fn header_bytes(grid: &Grid, [bands, marked, levels, valid_at]: [u32; 4], [scale
         marked,
         levels,
         valid_at,
+        float(shaded.step),
     ];
     let mut bytes = [0; 64];
     for (place, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {

@@ -29,7 +29,7 @@ fn header_has_the_documented_bytes() {
     [2u32, 3, 1, 1].iter().for_each(|word| expected.extend(word.to_le_bytes()));
     expected.extend(floats([4.0, 1.5, 3.0, 0.0]));
     expected.extend([1, 0, 0, 0]);
-    expected.extend([0; 12]);
+    expected.extend([0; 12]); // no step, and zeros
     assert_eq!(buffers.header[..], expected);
     assert_eq!(buffers.min, [-1.0, 0.5, 2.0]);
 }
@@ -74,6 +74,46 @@ fn coefficients_of_f32_files_are_off_by_no_more_than_stated() {
                 assert!(error.abs() <= bound, "{truth:e}, off by {error:e} of {bound:e}");
             }
         }
+    }
+}
+
+/// Numbers as the packer makes them: number 1 is 0. Node 70 is dark.
+fn numbers(node: usize, plane: usize) -> i16 {
+    match (node, plane) {
+        (70, 0) => 0,
+        (_, 0) => 16384 + (node * 389 % 1500) as i16,
+        (_, 1) => 0,
+        _ => (node * 131 + plane * 29) as i16 % 101 * 2 - 101,
+    }
+}
+
+#[test]
+fn packed_coefficients_are_the_files_numbers_in_the_documented_bits() {
+    for (bands, counts) in [(0, [5, 5, 4]), (1, [1, 1, 1]), (2, [5, 5, 4]), (2, [8, 8, 2]), (4, [9, 1, 1])] {
+        let file = grid(counts, bands, 2, 0.004).packed(numbers);
+        let volume = Volume::parse(&file.to_bytes()).unwrap();
+        let buffers = volume.gpu_buffers_packed(volume.header().scale).unwrap();
+        assert_eq!(buffers.header[52..56], 0.004f32.to_le_bytes());
+        assert_eq!(buffers.header[12..16], 1f32.to_le_bytes());
+        let words = &buffers.coefficients;
+        let count = 1 + 3 * (bands.min(2) as usize + 1).pow(2);
+        let mut end = file.nodes().div_ceil(64) * (count + 2);
+        for node in 0..file.nodes() {
+            let head = &words[node / 64 * (count + 2)..][..count + 2];
+            if node % 64 == 0 {
+                assert_eq!(head[0] as usize, end);
+                end += (head[1] as usize * (file.nodes() - node).min(64)).div_ceil(32);
+            }
+            let mut at = 32 * head[0] as usize + node % 64 * head[1] as usize;
+            for plane in 0..count {
+                let (least, width) = (head[2 + plane] as i16, head[2 + plane] >> 16);
+                let bits: u32 = (0..width as usize).map(|k| (words[(at + k) / 32] >> ((at + k) % 32) & 1) << k).sum();
+                at += width as usize;
+                let expected = if numbers(node, 0) > 0 { numbers(node, plane) } else { 0 };
+                assert_eq!(i32::from(least) + bits as i32, i32::from(expected), "L{bands}, node {node}, plane {plane}");
+            }
+        }
+        assert_eq!((words.len(), words[end]), (end + 1, 0));
     }
 }
 
@@ -126,7 +166,8 @@ fn no_buffer_is_empty_and_nothing_is_marked_where_all_are_valid() {
 fn points_and_vertices_are_refused() {
     for file in [small_points(), small_vertices()] {
         let volume = Volume::parse(&file.to_bytes()).unwrap();
-        let error = volume.gpu_buffers().unwrap_err();
-        assert!(matches!(error, Error::Unsupported(_)) && error.to_string().contains("a grid"), "{error}");
+        for error in [volume.gpu_buffers(), volume.gpu_buffers_packed(0.01)].map(Result::unwrap_err) {
+            assert!(matches!(error, Error::Unsupported(_)) && error.to_string().contains("a grid"), "{error}");
+        }
     }
 }

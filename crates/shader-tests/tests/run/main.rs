@@ -12,6 +12,7 @@ mod gpu;
 mod volumes;
 
 use gdibl_runtime::Volume;
+use gdibl_runtime::format::Encoding;
 use gdibl_shader_tests::{Stage, WORKGROUP, glsl, hlsl, skip, wgsl};
 use gpu::{Gpu, Query};
 use std::borrow::Cow;
@@ -119,7 +120,10 @@ fn run(gpu: &Gpu, language: &str, pipeline: &wgpu::ComputePipeline) {
         let Case { name, file, .. } = case;
         let volume = Volume::parse(&file.to_bytes()).unwrap();
         let queries = queries(case, COUNT, number as u64);
-        let buffers = volume.gpu_buffers().unwrap();
+        let buffers = match volume.header().encoding {
+            Encoding::Packed => volume.gpu_buffers_packed(volume.header().scale).unwrap(),
+            _ => volume.gpu_buffers().unwrap(),
+        };
         let found = gpu.irradiance(pipeline, &buffers, &queries);
         let Comparison { mean, differences, explained } = compare(&volume, &queries, &found);
         let words = buffers.coefficients.len() + buffers.marks.len() + 4 * buffers.walls.len();

@@ -150,7 +150,25 @@ pub fn cases() -> Vec<Case> {
     (far.min, far.max) = ([1e6, -2e6, 3e5], [1e6 + 4.0, -2e6 + 1.5, 3e5 + 3.0]);
     let mut flat = box_of([7, 3, 6], 2, 1);
     flat.max[1] = 0.0;
+    // Numbers as the packer makes them: number 1 is 0. A dark node in seventy; and one so dim that the CPU, too, unpacks to
+    // f32 and not to f16, whose rounding alone comes to the tolerance.
+    let numbers = |node: usize, plane: usize| match (node, plane) {
+        (_, 0) if node % 70 == 69 => 0,
+        (1, 0) => 16384 - 26 * 256,
+        (_, 0) => 16384 + (node * 389 % 1500) as i16,
+        (_, 1) => 0,
+        _ => (node * 131 + plane * 29) as i16 % 51 * 2 - 51,
+    };
+    let packed = |counts: [u32; 3], bands| File { scale: 0.004, ..box_of(counts, bands, 2) }.packed(numbers);
     vec![
+        Case { name: "packed, L2", file: packed([7, 5, 6], 2), planes: Vec::new() },
+        Case { name: "packed, one node, L1", file: packed([1, 1, 1], 1), planes: Vec::new() },
+        Case { name: "packed, some invalid, L0", file: some_invalid(packed([8, 1, 9], 0)), planes: Vec::new() },
+        {
+            let (file, planes) = with_walls(packed([7, 5, 6], 1), 1);
+            Case { name: "packed, walls, L1", file, planes }
+        },
+        Case { name: "packed, L4, of which L2 is used", file: packed([4, 3, 3], 4), planes: Vec::new() },
         plain("all valid, L2", box_of([7, 5, 6], 2, 1)),
         plain("all valid, L1", box_of([7, 5, 6], 1, 1)),
         plain("all valid, L0", box_of([7, 5, 6], 0, 1)),

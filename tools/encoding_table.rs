@@ -1,11 +1,12 @@
 //! How few numbers hold the light at a node, and how few bytes hold those numbers, as Markdown tables.
-//! `cargo run --release -p gdibl-tools --bin encoding_table -- decoders|bytes FILE…`. Found, on five panoramas and on volumes
+//! `cargo run --release -p gdibl-tools --bin encoding_table -- decoders|bytes|packed FILE…`. Found, on five panoramas and on volumes
 //! of `bake --method path --samples 1024 --sh L4 --precision f32`: living_room and dream-apartment under kloppenheim_05 (A,
 //! noise of E 1.4 and 0.8 %), pandora and uffizi-box (B, 21 and 11 %), bytes per node where 95 % of the nodes gain <= 0.5 %:
 //! * Build L2 as the log of band 0's sum, and what is left over that sum in Co and Cg in equal steps of E's coefficients,
 //!   restored before nodes are blended. In 4x4x4 bricks in memory A 14.4, 12.9, B 27.2, 20.4 (f16: 54); on disk A 11.5, 10.1
 //!   (delta x, zstd -19, 10 % under -3), B 24.9, 18.2 (f16: 38, 34, 52, 48). L1 of A 7.2, 6.4 and 5.7, 5.1. 16 times the
 //!   samples: 11.7 becomes 8.9 on disk; twice the error saves 3. L2 itself is 6 % off in A: step by tolerance and noise.
+//!   Kept as `--precision packed`, in file order without boxes: see `gdibl_runtime::packed`.
 //! * Loses: ratios in RGB9E5 and 8 bits (4 more in A, misses 0.5 %, 62 % off where a channel is nearly dark); a basis fitted
 //!   to the volume (A 0.4 less on disk, 452 nodes 2.4 more); fitted prediction (helps noise only, 0.8 to 1.3); Lorenzo (2 to
 //!   5 more than delta x); coarser chroma (0.2 to 0.7 more).
@@ -15,6 +16,7 @@
 
 use gdibl_baker::panorama::Panorama;
 use gdibl_runtime::Volume;
+use gdibl_runtime::format::{self, Encoding, RADIANCE};
 use gdibl_tools::decoders::{Decoder, Light, Normals, Score};
 use gdibl_tools::encodings::{Field, Predictor, Quantised, Quantiser, lit_nodes, predict, quantise};
 use gdibl_tools::read_panorama;
@@ -24,11 +26,13 @@ use std::path::Path;
 const USAGE: &str = "\
 usage: encoding_table decoders FILE…    panoramas (.hdr, .exr), and volumes baked with --sh L4 --precision f32
        encoding_table bytes FILE.gdibl…  grids with L2 or more, best in f32
+       encoding_table packed FILE.gdibl… grids of bake --precision packed, or of others
 
 decoders  Error of E of each way to keep the light at one place in few numbers. Panoramas: 512 normals, against
           direct integration, mean over the files. Volumes: 128 normals, against the file's own L4, per node; and
           the cheapest that meets a tolerance, per volume, node and brick.
-bytes     Added error of E and bytes per stored node of each way to write L2 and L1, in memory and compressed.";
+bytes     Added error of E and bytes per stored node of each way to write L2 and L1, in memory and compressed.
+packed    Bytes per node of the coefficients as they are: in the file, and as shaders read them.";
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -41,6 +45,7 @@ fn main() {
             volumes.iter().for_each(|file| print_nodes(file));
         }
         [table, files @ ..] if table == "bytes" && !files.is_empty() => files.iter().for_each(|file| print_bytes(file)),
+        [table, files @ ..] if table == "packed" && !files.is_empty() => print_packed(files),
         _ => {
             eprintln!("{USAGE}");
             std::process::exit(2);
@@ -67,6 +72,34 @@ fn quantile(values: &[f64], share: f64) -> f64 {
     sorted.sort_by(f64::total_cmp);
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+}
+
+// What is kept.
+
+fn print_packed(files: &[String]) {
+    println!("| file | SH | nodes | encoding | in the file | on a GPU |");
+    println!("|---|---|---|---|---|---|");
+    for file in files {
+        let bytes = std::fs::read(file).unwrap_or_else(|e| panic!("{file}: {e}"));
+        let directory = format::parse_header_and_sections(&bytes).unwrap_or_else(|e| panic!("{file}: {e}"));
+        let volume = read_volume(file);
+        let buffers = match directory.header.encoding {
+            Encoding::Packed => volume.gpu_buffers_packed(directory.header.scale),
+            _ => volume.gpu_buffers(),
+        };
+        let words = buffers.unwrap_or_else(|e| panic!("{file}: {e}")).coefficients.len();
+        let per_node = |bytes: usize| bytes as f64 / volume.node_count() as f64;
+        let stored = directory.section(RADIANCE).expect("a volume has coefficients").stored_size as usize;
+        println!(
+            "| {} | L{} | {} | {:?} | {:.1} | {:.1} |",
+            name(file),
+            directory.header.bands,
+            volume.node_count(),
+            directory.header.encoding,
+            per_node(stored),
+            per_node(4 * words)
+        );
+    }
 }
 
 // Decoders on panoramas.

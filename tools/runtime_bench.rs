@@ -8,7 +8,8 @@
 //!
 //! The same with walls in every eighth cell and in all, against none.
 //!
-//! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes.
+//! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes. And of the same
+//! nodes packed, which are unpacked.
 //!
 //! All that is compared takes turns in short rounds. What is printed are medians: of a round's time, and of the ratio of
 //! times within a round.
@@ -18,7 +19,7 @@
 use gdibl_baker::sampling::fibonacci_sphere;
 use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units, WALLS};
 use gdibl_runtime::walls::{Plane, WallCell, walls_to_bytes};
-use gdibl_runtime::{Limits, Volume};
+use gdibl_runtime::{Limits, Volume, packed};
 use half::f16;
 use std::hint::black_box;
 use std::time::Instant;
@@ -92,13 +93,15 @@ fn main() {
 
     let bytes = file(counts_of(100_000_000), 0);
     let mut target = vec![0; bytes.len()];
-    let mut seconds: [Vec<f64>; 3] = Default::default();
+    let packed = packed_file(&Volume::parse(&bytes).expect("a volume"));
+    let mut seconds: [Vec<f64>; 4] = Default::default();
     for _ in 0..PARSES {
         seconds[0].push(time(|| drop(black_box(Volume::parse(&bytes).expect("a volume")))));
         seconds[1].push(time(|| black_box(&mut target).copy_from_slice(&bytes)));
         seconds[2].push(time(|| _ = black_box(format::crc32(&bytes))));
+        seconds[3].push(time(|| drop(black_box(Volume::parse(&packed).expect("a volume")))));
     }
-    let [parse, copy, crc32] = &seconds;
+    let [parse, copy, crc32, unpack] = &seconds;
     let rate = |seconds: &[f64]| 1e-9 * bytes.len() as f64 / median(seconds);
     println!();
     println!(
@@ -114,6 +117,11 @@ fn main() {
         rate(copy),
         rate(crc32)
     );
+    let nodes = bytes.len() as f64 / NODE_BYTES as f64;
+    println!();
+    println!("| parsing the same nodes | f16 | packed |");
+    println!("|---|---|---|");
+    println!("| ns per node | {:.0} | {:.0} |", 1e9 * median(parse) / nodes, 1e9 * median(unpack) / nodes);
 }
 
 /// Nanoseconds per sample of each of three, round by round. In a round each has other places, so that none finds in the
@@ -172,6 +180,20 @@ fn file(counts: u32, walled: u32) -> Vec<u8> {
     if walled > 0 {
         sections.push((WALLS, walls(&header, walled)));
     }
+    assemble(&header, &sections)
+}
+
+/// The same nodes in steps of 0.3 %.
+fn packed_file(volume: &Volume) -> Vec<u8> {
+    let header = Header { encoding: Encoding::Packed, scale: 0.003, ..*volume.header() };
+    let mut numbers = vec![0; volume.node_count() * (VALUES + 1)];
+    for (node, numbers) in numbers.chunks_exact_mut(VALUES + 1).enumerate() {
+        packed::quantise_node(&volume.node_sh(node).coefficients.as_flattened()[..VALUES], header.scale, numbers);
+    }
+    assemble(&header, &[(RADIANCE, packed::numbers_to_bytes(&numbers, VALUES + 1))])
+}
+
+fn assemble(header: &Header, sections: &[([u8; 4], Vec<u8>)]) -> Vec<u8> {
     let entry = |(id, section): &([u8; 4], Vec<u8>)| SectionEntry {
         id: *id,
         codec: Codec::Raw,
@@ -183,7 +205,7 @@ fn file(counts: u32, walled: u32) -> Vec<u8> {
     };
     let mut entries: Vec<SectionEntry> = sections.iter().map(entry).collect();
     format::place_sections(&mut entries);
-    let mut bytes = format::directory_to_bytes(&header, &entries);
+    let mut bytes = format::directory_to_bytes(header, &entries);
     for (entry, (_, section)) in entries.iter().zip(sections) {
         bytes.resize(entry.offset as usize, 0);
         bytes.extend(section);

@@ -70,9 +70,10 @@ fn independent_reader_finds_the_light_that_sample_prints() {
         ("vertices", &["--nodes", "vertices", "--precision", "f32"]),
     ] {
         folder.bake(&[&["room.glb", "--probes", "a.exr", "--probes", "b.exr", "--samples", "200"], arguments].concat());
-        // The reader has no zstd before Python 3.14. And we keep what is packed as half floats, the reader as doubles.
+        // The reader has no zstd before Python 3.14. We keep what is packed as half floats, the reader as doubles: each of the
+        // terms that E is the sum of is off by up to 2^-11.
         folder.write("room.gdibl", uncompressed(&folder.read("room.gdibl")));
-        let tolerance = if name.contains("packed") { 5e-4 } else { 1e-5 };
+        let tolerance = if name.contains("packed") { 1.5e-3 } else { 1e-5 };
         // Inside, on nodes, outside; and in every direction. On vertices: their own places and normals.
         let volume = Volume::parse(&folder.read("room.gdibl")).unwrap();
         let mut places: Vec<[f64; 6]> = Vec::new();

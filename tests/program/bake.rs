@@ -259,7 +259,9 @@ fn with_a_tolerance_nodes_are_left_out_and_the_error_between_them_is_told() {
 fn bands_that_light_does_not_need_are_left_out() {
     let folder = coloured_room();
     let auto = |arguments: &[&str]| {
-        folder.bake(&[arguments, &["--counts", "3,3,3", "--samples", "256", "--sh", "auto"]].concat())
+        folder.bake(
+            &[arguments, &["--counts", "3,3,3", "--samples", "256", "--precision", "f32", "--sh", "auto"]].concat(),
+        )
     };
     let report = auto(&PROBES);
     let lost = |report: &Value, bands: usize| report["truncation"][bands]["error"]["p95"].as_f64().unwrap();
@@ -272,7 +274,10 @@ fn bands_that_light_does_not_need_are_left_out() {
     // The light is what a bake of as many bands finds.
     let place = [[0.2, 0.1, -0.3, 0.0, 1.0, 0.0]];
     let found = folder.irradiance("room.gdibl", &place);
-    folder.bake(&[&PROBES[..], &["--counts", "3,3,3", "--samples", "256", "--sh", &format!("L{fewest}")]].concat());
+    let bands = format!("L{fewest}");
+    folder.bake(
+        &[&PROBES[..], &["--counts", "3,3,3", "--samples", "256", "--precision", "f32", "--sh", &bands]].concat(),
+    );
     assert_eq!(found, folder.irradiance("room.gdibl", &place));
     // In a fog band 0 is all there is.
     folder.write("empty.gltf", r#"{"asset": {"version": "2.0"}}"#);

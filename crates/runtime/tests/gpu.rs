@@ -29,7 +29,7 @@ fn header_has_the_documented_bytes() {
     [2u32, 3, 1, 1].iter().for_each(|word| expected.extend(word.to_le_bytes()));
     expected.extend(floats([4.0, 1.5, 3.0, 0.0]));
     expected.extend([1, 0, 0, 0]);
-    expected.extend([0; 12]); // no step, and zeros
+    expected.extend([0; 12]); // no sparse grid, and no step
     assert_eq!(buffers.header[..], expected);
     assert_eq!(buffers.min, [-1.0, 0.5, 2.0]);
 }
@@ -93,7 +93,7 @@ fn packed_coefficients_are_the_files_numbers_in_the_documented_bits() {
         let file = grid(counts, bands, 2, 0.004).packed(numbers);
         let volume = Volume::parse(&file.to_bytes()).unwrap();
         let buffers = volume.gpu_buffers_packed(volume.header().scale).unwrap();
-        assert_eq!(buffers.header[52..56], 0.004f32.to_le_bytes());
+        assert_eq!(buffers.header[60..64], 0.004f32.to_le_bytes());
         assert_eq!(buffers.header[12..16], 1f32.to_le_bytes());
         let words = &buffers.coefficients;
         let count = 1 + 3 * (bands.min(2) as usize + 1).pow(2);

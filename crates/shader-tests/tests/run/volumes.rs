@@ -161,14 +161,14 @@ pub fn cases() -> Vec<Case> {
     };
     let packed = |counts: [u32; 3], bands| File { scale: 0.004, ..box_of(counts, bands, 2) }.packed(numbers);
     vec![
-        Case { name: "packed, L2", file: packed([7, 5, 6], 2), planes: Vec::new() },
-        Case { name: "packed, one node, L1", file: packed([1, 1, 1], 1), planes: Vec::new() },
-        Case { name: "packed, some invalid, L0", file: some_invalid(packed([8, 1, 9], 0)), planes: Vec::new() },
+        case("packed, L2", packed([7, 5, 6], 2), Vec::new()),
+        case("packed, one node, L1", packed([1, 1, 1], 1), Vec::new()),
+        case("packed, some invalid, L0", some_invalid(packed([8, 1, 9], 0)), Vec::new()),
         {
             let (file, planes) = with_walls(packed([7, 5, 6], 1), 1);
-            Case { name: "packed, walls, L1", file, planes }
+            case("packed, walls, L1", file, planes)
         },
-        Case { name: "packed, L4, of which L2 is used", file: packed([4, 3, 3], 4), planes: Vec::new() },
+        case("packed, L4, of which L2 is used", packed([4, 3, 3], 4), Vec::new()),
         plain("all valid, L2", box_of([7, 5, 6], 2, 1)),
         plain("all valid, L1", box_of([7, 5, 6], 1, 1)),
         plain("all valid, L0", box_of([7, 5, 6], 0, 1)),

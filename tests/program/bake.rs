@@ -278,7 +278,9 @@ fn bands_that_light_does_not_need_are_left_out() {
     folder.bake(
         &[&PROBES[..], &["--counts", "3,3,3", "--samples", "256", "--precision", "f32", "--sh", &bands]].concat(),
     );
-    assert_eq!(found, folder.irradiance("room.gdibl", &place));
+    let expected = folder.irradiance("room.gdibl", &place);
+    let is_same = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-3 * b;
+    assert!(found[0].iter().zip(&expected[0]).all(is_same), "{found:?} {expected:?}");
     // In a fog band 0 is all there is.
     folder.write("empty.gltf", r#"{"asset": {"version": "2.0"}}"#);
     folder.panorama("fog.exr", 16, None, |_| [1.0, 2.0, 3.0]);

@@ -11,6 +11,7 @@ mod dering;
 mod export;
 mod exposure;
 mod furnace;
+mod leaving_out;
 mod light;
 mod packed;
 mod probes;

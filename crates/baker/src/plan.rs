@@ -90,6 +90,11 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
     ]
 }
 
+/// A distant panorama that no node can see is left out of the bake.
+pub fn sealed_distant(name: &str) -> PlanRow {
+    PlanRow::new("distant", false, format!("every node stands in a closed shell: nothing of {name} gets in"))
+}
+
 /// Matching the exposures of probes, where it was asked for.
 pub fn match_exposure(matched: &ExposureMatch) -> PlanRow {
     let row = |kept, why: String| PlanRow::new("match-exposure", kept, why);

@@ -100,11 +100,17 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let mut nodes = nodes_of(&config, &inputs.scene)?;
     let tolerance = config.grid.tolerance;
     check_memory(&nodes, &settings, config.quality.max_memory)?;
+    // Nothing asks for what no node can see.
+    let sealed = inputs.distant.as_ref().filter(|_| bake::is_sealed(&nodes, &inputs.scene));
+    let sealed = sealed.map(|distant| plan::sealed_distant(&distant.name));
     let captures = method == Method::Gdibl && !arguments.no_capture && inputs.lacks_probes();
     if !arguments.plan {
         inputs.warn();
         inputs.check_light(&config, method)?;
         super::check_output(&config.output)?;
+    }
+    if sealed.is_some() {
+        inputs.distant = None;
     }
     let capture = match captures {
         true if arguments.plan => PlanRow::new("capture", true, "no probe is given: they are captured from the level"),
@@ -131,6 +137,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             let gdibl = gdibl_settings(&config.quality, inputs.captured, settings.directions(nodes.len() as u64));
             let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
             let plan = [plan, plan::plan(&inputs.scene, &function)].concat();
+            let plan = with_sealed(plan, sealed);
             if arguments.plan {
                 return print_plan([plan, between].concat(), &config, arguments.json);
             }
@@ -139,6 +146,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         Method::Path => {
             let path = Path::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config.quality)?);
             let plan = [plan, plan::plan_path(&inputs.scene, &path)].concat();
+            let plan = with_sealed(plan, sealed);
             if arguments.plan {
                 return print_plan([plan, between].concat(), &config, arguments.json);
             }
@@ -379,7 +387,9 @@ fn probe_records(inputs: &Inputs) -> Vec<ProbeRecord> {
         size: [probe.panorama.width() as u32, probe.panorama.height() as u32],
         distance: probe.panorama.distances().is_some(),
     });
-    let distant = inputs.distant.iter().map(|distant| ProbeRecord {
+    // The black one that stands behind captured probes has no name: nobody gave it.
+    let given = inputs.distant.iter().filter(|distant| !distant.name.is_empty());
+    let distant = given.map(|distant| ProbeRecord {
         name: distant.name.clone(),
         position: None,
         rotation: distant.rotation.into(),
@@ -418,6 +428,15 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
         sun: None,
         findings: inputs.findings.clone(),
     }
+}
+
+/// The plan with the row on a distant panorama that is left out in place of that of none.
+fn with_sealed(mut plan: Vec<PlanRow>, sealed: Option<PlanRow>) -> Vec<PlanRow> {
+    if let Some(sealed) = sealed {
+        plan.retain(|row| row.stage != sealed.stage);
+        plan.push(sealed);
+    }
+    plan
 }
 
 fn print_plan(mut plan: Vec<PlanRow>, config: &Config, json: bool) -> Result<(), Fault> {

@@ -10,6 +10,7 @@ mod gather;
 mod integrate;
 mod nodes;
 mod refine;
+mod sealed;
 mod standing;
 mod walls;
 
@@ -25,6 +26,7 @@ pub use integrate::INTERVAL_95;
 use integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence};
 pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_spacing};
 pub use refine::{bake_sparse, grid_of_cells, levels_of};
+pub use sealed::is_sealed;
 use standing::Sites;
 pub use standing::Standing;
 pub use walls::{WallCell, Walls};

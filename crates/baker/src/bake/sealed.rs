@@ -1,0 +1,128 @@
+//! Whether no light from infinity can reach any node: each stands in a closed, opaque shell.
+//!
+//! A proof, not a guess by rays, for a keyhole is enough to let a sun in. Parts of the level that hang together by their corners are
+//! shells if each of their edges is passed as often one way as the other, so that they have no rim. Who stands in one is wound round by
+//! it: a ray outward crosses it more often one way than the other, and nothing gets through.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+use super::Nodes;
+use crate::scene::{Alpha, Scene};
+use crate::trace::{Frame, Tree};
+
+/// Directions that have to agree, along no edge of anything.
+const DIRECTIONS: [Vec3; 3] =
+    [Vec3::new(0.7312, 0.4121, 0.5437), Vec3::new(-0.3127, 0.8219, -0.4762), Vec3::new(0.2911, -0.6173, 0.7309)];
+
+/// No node sees what is beyond the level.
+pub fn is_sealed(nodes: &Nodes, scene: &Scene) -> bool {
+    let shells = Shells::of(scene);
+    !shells.of_triangle.is_empty()
+        && (0..nodes.len()).into_par_iter().all(|node| shells.enclose(nodes.ray_origin(node, &shells.frame)))
+}
+
+/// The triangles of closed, opaque parts of a level.
+struct Shells {
+    frame: Frame,
+    tree: Tree,
+    corners: Vec<[Vec3; 3]>,
+    of_triangle: Vec<u32>,
+    count: usize,
+}
+
+impl Shells {
+    fn of(scene: &Scene) -> Shells {
+        // Corners that lie in one place are one.
+        let mut places: HashMap<[u64; 3], u32> = HashMap::new();
+        let mut parts = Parts::default();
+        let mut triangles = Vec::new();
+        let mut clear = Vec::new();
+        for mesh in &scene.meshes {
+            let is_clear = scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
+            for ids in &mesh.triangles {
+                let positions = ids.map(|id| mesh.positions[id as usize]);
+                // Plus zero, so that both zeros are one.
+                let corners = positions.map(|p| {
+                    let next = places.len() as u32;
+                    *places.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert(next)
+                });
+                parts.join(corners);
+                if is_clear {
+                    clear.push(corners[0]);
+                }
+                triangles.push((corners, positions));
+            }
+        }
+        // Each edge, passed one way and the other.
+        let mut balance: HashMap<(u32, u32), i32> = HashMap::new();
+        for ([a, b, c], _) in &triangles {
+            for (from, to) in [(*a, *b), (*b, *c), (*c, *a)] {
+                *balance.entry((from.min(to), from.max(to))).or_default() += if from < to { 1 } else { -1 };
+            }
+        }
+        let open = balance.iter().filter(|(_, balance)| **balance != 0).map(|((corner, _), _)| *corner);
+        let leaky: Vec<u32> = open.chain(clear).map(|corner| parts.of(corner)).collect();
+        let mut is_shell = vec![true; places.len()];
+        leaky.into_iter().for_each(|part| is_shell[part as usize] = false);
+
+        let frame = Frame::of_scene(scene);
+        let mut numbers: HashMap<u32, u32> = HashMap::new();
+        let (mut corners, mut of_triangle) = (Vec::new(), Vec::new());
+        for (ids, positions) in &triangles {
+            let part = parts.of(ids[0]);
+            if is_shell[part as usize] {
+                let next = numbers.len() as u32;
+                of_triangle.push(*numbers.entry(part).or_insert(next));
+                corners.push(positions.map(|position| frame.to_trace(position)));
+            }
+        }
+        Shells { frame, tree: Tree::build(&corners), corners, of_triangle, count: numbers.len() }
+    }
+
+    /// One of them winds round a place (trace space), whichever way one looks.
+    fn enclose(&self, place: Vec3) -> bool {
+        let mut windings = vec![0; self.count];
+        let mut around = vec![true; self.count];
+        for direction in DIRECTIONS {
+            windings.fill(0);
+            self.tree.any(place, direction, 0.0, f32::INFINITY, |hit| {
+                let [a, b, c] = self.corners[hit.triangle as usize];
+                let is_back = (b - a).cross(c - a).dot(direction) > 0.0;
+                windings[self.of_triangle[hit.triangle as usize] as usize] += if is_back { 1 } else { -1 };
+                true
+            });
+            around.iter_mut().zip(&windings).for_each(|(around, winding)| *around &= *winding != 0);
+        }
+        around.contains(&true)
+    }
+}
+
+/// Corners that triangles join. Based on: Galler and Fischer, "An Improved Equivalence Algorithm", 1964.
+#[derive(Default)]
+struct Parts {
+    parents: Vec<u32>,
+}
+
+impl Parts {
+    fn join(&mut self, corners: [u32; 3]) {
+        let most = corners.into_iter().max().unwrap_or(0);
+        self.parents.extend(self.parents.len() as u32..=most);
+        let first = self.of(corners[0]);
+        for corner in &corners[1..] {
+            let other = self.of(*corner);
+            self.parents[other as usize] = first;
+        }
+    }
+
+    /// The corner that stands for all that hang together with one.
+    fn of(&mut self, mut corner: u32) -> u32 {
+        while self.parents[corner as usize] != corner {
+            let parent = self.parents[corner as usize];
+            self.parents[corner as usize] = self.parents[parent as usize];
+            corner = parent;
+        }
+        corner
+    }
+}

@@ -6,7 +6,7 @@
 //! * **floor**: finds the cell and blends the 8 × 27 halves in AVX with the processor's own f16 conversion (f16c).
 //! * **touch**: finds the cell and adds up the 8 × 27 raw words. Nothing that reads them can be faster.
 //!
-//! The same with walls in every eighth cell and in all, against none.
+//! The same with walls in every eighth cell and in all, against none; and as sparse grids with cells of one size and of two.
 //!
 //! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes. And of the same
 //! nodes packed, which are unpacked.
@@ -17,7 +17,10 @@
 #![allow(unsafe_code, reason = "calls functions compiled for f16c and AVX, once the processor is known to have them")]
 
 use gdibl_baker::sampling::fibonacci_sphere;
-use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units, WALLS};
+use gdibl_runtime::bricks::Bricks;
+use gdibl_runtime::format::{
+    self, BRICKS, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units, WALLS,
+};
 use gdibl_runtime::walls::{Plane, WallCell, walls_to_bytes};
 use gdibl_runtime::{Limits, Volume, packed};
 use half::f16;
@@ -91,6 +94,20 @@ fn main() {
         println!("| {name} | {some:.2} | {all:.2} | {:.1} ns |", median(&without));
     }
 
+    println!();
+    println!("| sparse, over a grid | every place a node | cells of two sizes | grid |");
+    println!("|---|---|---|---|");
+    // Whole cells of the largest size.
+    let counts = (counts - 1) / 8 * 8 + 1;
+    let volume = Volume::parse(&file(counts, 0)).expect("a volume");
+    let sparse = [true, false].map(|all| Volume::parse(&sparse_file(counts, all)).expect("a volume"));
+    for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
+        let read = [&volume, &sparse[0], &sparse[1]].map(|volume| move |places: &[Place]| irradiance(volume, places));
+        let [without, all, some] = sampling_rounds(&places, [&read[0], &read[1], &read[2]]);
+        let [all, some] = [all, some].map(|times| median_ratio(&times, &without));
+        println!("| {name} | {all:.2} | {some:.2} | {:.1} ns |", median(&without));
+    }
+
     let bytes = file(counts_of(100_000_000), 0);
     let mut target = vec![0; bytes.len()];
     let packed = packed_file(&Volume::parse(&bytes).expect("a volume"));
@@ -162,25 +179,39 @@ fn counts_of(bytes: usize) -> u32 {
 /// A grid of nodes one metre apart, of values evenly between -1 and 1, stored as the baker would: the largest just below
 /// half of f16's largest number. With walls in every so-manieth cell, 0: in none.
 fn file(counts: u32, walled: u32) -> Vec<u8> {
+    let header = header(Kind::Grid, [counts; 3], counts);
+    let mut sections = vec![(RADIANCE, radiance(header.node_count()))];
+    if walled > 0 {
+        sections.push((WALLS, walls(&header, walled)));
+    }
+    assemble(&header, &sections)
+}
+
+/// The same as a sparse grid, its cells all divided to the end, or every second one of the last but one not.
+fn sparse_file(counts: u32, all: bool) -> Vec<u8> {
+    let bricks = Bricks::new([counts; 3], 3, |level, [x, y, z]| all || level > 1 || (x / 2 + y / 2 + z / 2) % 2 == 0);
+    let header = header(Kind::Sparse, [bricks.node_count() as u32, 1, 1], counts);
+    assemble(&header, &[(RADIANCE, radiance(bricks.node_count())), (BRICKS, bricks.to_bytes())])
+}
+
+fn radiance(nodes: usize) -> Vec<u8> {
     let mut random = Random(1);
-    let nodes = counts as usize * counts as usize * counts as usize;
     let mut stored = || f16::from_f32(32_767.0 * (2.0 * random.unit() - 1.0));
-    let section: Vec<u8> = (0..nodes * VALUES).flat_map(|_| stored().to_le_bytes()).collect();
-    let header = Header {
-        kind: Kind::Grid,
-        counts: [counts; 3],
+    (0..nodes * VALUES).flat_map(|_| stored().to_le_bytes()).collect()
+}
+
+/// Of a cube of so many places along each side.
+fn header(kind: Kind, counts: [u32; 3], places: u32) -> Header {
+    Header {
+        kind,
+        counts,
         bands: 2,
         encoding: Encoding::F16,
         scale: (-15f32).exp2(),
         units: Units::Radiance,
         min: [0.0; 3],
-        max: [f64::from(counts - 1); 3],
-    };
-    let mut sections = vec![(RADIANCE, section)];
-    if walled > 0 {
-        sections.push((WALLS, walls(&header, walled)));
+        max: [f64::from(places - 1); 3],
     }
-    assemble(&header, &sections)
 }
 
 /// The same nodes in steps of 0.3 %.

@@ -90,7 +90,7 @@ pub struct QualityFlags {
     #[serde(deserialize_with = "text::scene_hit")]
     pub scene: Option<SceneHit>,
     /// Bands of spherical harmonics: L0, L1, L2, L3, L4, or auto: the fewest with which irradiance at 95 % of the nodes is that of L4
-    /// to --tolerance, or to 5 % [default: L2]
+    /// to --tolerance, or to 10 % [default: L2]
     #[arg(long, value_name = "BANDS", value_parser = parse_bands)]
     #[serde(deserialize_with = "text::bands")]
     pub sh: Option<Bands>,

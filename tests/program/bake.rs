@@ -265,8 +265,8 @@ fn bands_that_light_does_not_need_are_left_out() {
     };
     let report = auto(&PROBES);
     let lost = |report: &Value, bands: usize| report["truncation"][bands]["error"]["p95"].as_f64().unwrap();
-    // The first that loses no more than 5 %.
-    let fewest = (0..3).find(|bands| lost(&report, *bands) <= 0.05).map_or(4, |bands| [0, 1, 2][bands]);
+    // The first that loses no more than 10 %.
+    let fewest = (0..3).find(|bands| lost(&report, *bands) <= 0.1).map_or(4, |bands| [0, 1, 2][bands]);
     assert_eq!(report["sh"], format!("L{fewest}"), "{report}");
     assert!(lost(&report, 0) > lost(&report, 1) && lost(&report, 1) > lost(&report, 2));
     let row = report["plan"].as_array().unwrap().iter().find(|row| row["stage"] == "bands").unwrap();

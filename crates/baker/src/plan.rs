@@ -175,8 +175,8 @@ pub fn sparse(nodes: &Nodes, tolerance: Option<f64>, record: Option<&SparseRecor
 pub fn bands(truncations: &[Truncation], tolerance: f64, kept: u32) -> PlanRow {
     let lost: Vec<String> = truncations.iter().map(|t| format!("L{} {:.2} %", t.bands, 100.0 * t.error.p95)).collect();
     let lost = if lost.is_empty() { "nothing is known".into() } else { lost.join(", ") };
-    let why = format!("to {} % at 95 % of the nodes; bands above lose less than that: {lost}", 100.0 * tolerance);
-    PlanRow::new("bands", kept == MAX_BANDS, format!("L{kept} is right {why}"))
+    let why = format!("is right to {} % at 95 % of the nodes, against L4; there loses {lost}", 100.0 * tolerance);
+    PlanRow::new("bands", kept == MAX_BANDS, format!("L{kept} {why}"))
 }
 
 fn emitters(count: usize) -> PlanRow {

@@ -81,7 +81,7 @@ struct Report<'a> {
 }
 
 /// What `--sh auto` allows fewer bands to lose where no tolerance is given.
-const BANDS_TOLERANCE: f64 = 0.05;
+const BANDS_TOLERANCE: f64 = 0.1;
 
 pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let started = Instant::now();

@@ -99,7 +99,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     };
     let mut nodes = nodes_of(&config, &inputs.scene)?;
     let tolerance = config.grid.tolerance;
-    check_memory(&nodes, &settings, config.quality.max_memory)?;
+    check_memory(&nodes, tolerance.is_some(), &settings, config.quality.max_memory)?;
     // Nothing asks for what no node can see.
     let sealed = inputs.distant.as_ref().filter(|_| bake::is_sealed(&nodes, &inputs.scene));
     let sealed = sealed.map(|distant| plan::sealed_distant(&distant.name));
@@ -336,17 +336,27 @@ pub fn bake_settings(config: &Config) -> Result<BakeSettings, Fault> {
     })
 }
 
+/// What a sparse grid is taken to have of its places, before anything is known of it. Rooms have less.
+const SPARSE_SHARE: u64 = 2;
+
 /// Says what a bake needs before any of it is taken.
-pub fn check_memory(nodes: &Nodes, settings: &BakeSettings, limit_gib: Option<f64>) -> Result<(), Fault> {
-    let needed = bake::memory_needed(nodes.len() as u64, settings);
+pub fn check_memory(
+    nodes: &Nodes,
+    is_sparse: bool,
+    settings: &BakeSettings,
+    limit_gib: Option<f64>,
+) -> Result<(), Fault> {
+    let count = nodes.len() as u64 / if is_sparse { SPARSE_SHARE } else { 1 };
+    let needed = bake::memory_needed(count, settings);
     let gib = f64::from(1 << 30);
     let (limit, whose) = match limit_gib {
         Some(limit) => (limit * gib, "--max-memory allows"),
         None => (super::memory_available().unwrap_or(f64::INFINITY), "this machine has free"),
     };
     if needed as f64 > limit {
+        let what = if is_sparse { "places of a sparse grid may" } else { "nodes" };
         return Err(Fault::System(format!(
-            "{} nodes need about {:.1} GiB, {whose} {:.1} GiB; use a larger --spacing or smaller --bounds",
+            "{} {what} need about {:.1} GiB, {whose} {:.1} GiB; use a larger --spacing or smaller --bounds",
             nodes.len(),
             needed as f64 / gib,
             limit / gib

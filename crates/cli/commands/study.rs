@@ -136,7 +136,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let mut inputs = Inputs::read(&config, TextureNeeds::All)?;
     let given = arguments.reference.as_deref().map(|path| read_reference(path, &arguments.sets)).transpose()?;
     let (nodes, places) = choose_nodes(&arguments, &config, &inputs, given.as_ref())?;
-    check_memory(&nodes, &settings, config.quality.max_memory)?;
+    check_memory(&nodes, false, &settings, config.quality.max_memory)?;
     inputs.warn();
     inputs.check_light(&config, Method::Gdibl)?;
     super::check_output(&with_ending(&stem, "html"))?;

@@ -111,7 +111,7 @@ pub struct SparseRecord {
 pub struct SparseLevel {
     /// How many there are.
     pub cells: u64,
-    /// Middles of cells that were baked and are no nodes.
+    /// Places in them that were baked and are no nodes: middles, and of larger cells those of faces, too.
     pub checked: u64,
     /// What the volume answers there against what was baked: root mean square over normals and channels, over the larger of the
     /// place's own and a tenth of the volume's median. Noise of both is in it. `None` where nothing was checked.

@@ -86,7 +86,7 @@ fn sparse_lines(sparse: &SparseRecord) -> Vec<String> {
     let text = |(level, row): (usize, &SparseLevel)| {
         let error = row.error.map_or("not checked".into(), |error| {
             let [median, p95] = [error.median, error.p95].map(|e| e * 100.0);
-            format!("off by {median:.2} % median, {p95:.2} % 95th percentile in {} middles", row.checked)
+            format!("off by {median:.2} % median, {p95:.2} % 95th percentile at {} places between nodes", row.checked)
         });
         format!("{} cells {} wide, {error}", row.cells, 1 << level)
     };

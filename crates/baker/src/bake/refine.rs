@@ -1,14 +1,15 @@
 //! A sparse grid that is as fine as its light asks for: baked coarsely, and finer where that is not enough.
 //!
-//! Round by round every new cell is put to the test: a node is baked in its middle, and if what its corners say there is off by more
-//! than the tolerance, the cell is divided, until the grid's own spacing is reached. A difference that noise explains is none. Cells in
+//! Round by round every new cell is put to the test: a node is baked in its middle, of larger cells also in the middles of its faces,
+//! and if what its corners say there is off by more than the tolerance, the cell is divided, until the grid's own spacing is reached. A
+//! difference that noise explains is none. Cells in
 //! which triangles stand between corners, or corners in solids, are always divided: light changes at once at surfaces, and there it is
 //! read most. What lies in solids and outside of the level all through stays coarse.
 //!
-//! Tests cost one node per cell, and those of cells that are divided are nodes of the next level.
+//! Tests cost little more than one node per cell, and those of cells that are divided are nodes of the next level.
 
 use gdibl_runtime::Volume;
-use gdibl_runtime::bricks::{Bricks, Leaf, MAX_LEVELS, is_node};
+use gdibl_runtime::bricks::{Bricks, Corners, Leaf, MAX_LEVELS, is_node};
 use gdibl_runtime::grid::Grid;
 use gdibl_runtime::sh;
 use glam::{DVec3, Vec3};
@@ -73,7 +74,7 @@ pub fn bake_sparse(
     loop {
         refiner.bake_places_of(&frontier)?;
         let bricks = refiner.bricks();
-        if refiner.tree.is_whole() && refiner.is_even() {
+        if refiner.tree.is_empty() && refiner.is_even() {
             return refiner.one_node();
         }
         let divided = refiner.divided(&bricks, &frontier)?;
@@ -83,14 +84,14 @@ pub fn bake_sparse(
             break;
         }
         let tree = &refiner.tree;
-        frontier = refined.iter().flat_map(|cell| cell.children(grid)).filter(|cell| !tree.is_refined(*cell)).collect();
+        frontier = refined.iter().flat_map(|cell| cell.children(grid)).filter(|cell| !tree.has(*cell)).collect();
     }
     refiner.merge_solid();
     let bricks = refiner.bricks();
     let stride = 2 * 3 * sh::coefficient_count(settings.bands);
     if bricks.node_count() * stride + bricks.to_bytes().len() >= grid.node_count() * stride {
-        refiner.bake_missing((0..grid.node_count() as u32).collect())?;
-        return refiner.finish(nodes, &bricks);
+        let all = Bricks::new(grid.counts, levels, |_, _| true);
+        return refiner.finish(nodes, &all);
     }
     refiner.finish(Nodes::Sparse(SparseGrid { grid: *grid, bricks: bricks.clone() }), &bricks)
 }
@@ -130,15 +131,15 @@ impl Cell {
 
 /// A flag for every cell of the levels 1 and up.
 #[derive(Debug, Clone)]
-struct Tree {
+struct Flags {
     counts: [u32; 3],
     levels: u32,
     flags: Vec<Vec<bool>>,
 }
 
-impl Tree {
-    fn new(counts: [u32; 3], levels: u32) -> Tree {
-        let mut tree = Tree { counts, levels, flags: Vec::new() };
+impl Flags {
+    fn new(counts: [u32; 3], levels: u32) -> Flags {
+        let mut tree = Flags { counts, levels, flags: Vec::new() };
         tree.flags =
             (1..=levels).map(|level| vec![false; tree.extent(level).iter().map(|n| *n as usize).product()]).collect();
         tree
@@ -154,7 +155,8 @@ impl Tree {
         x as usize + nx * (y as usize + ny * z as usize)
     }
 
-    fn is_refined(&self, cell: Cell) -> bool {
+    /// Not of level 0.
+    fn has(&self, cell: Cell) -> bool {
         cell.level > 0 && self.flags[cell.level as usize - 1][self.place(cell)]
     }
 
@@ -163,8 +165,8 @@ impl Tree {
         self.flags[cell.level as usize - 1][place] = flag;
     }
 
-    /// No cell is refined.
-    fn is_whole(&self) -> bool {
+    /// None is set.
+    fn is_empty(&self) -> bool {
         self.flags.iter().flatten().all(|flag| !flag)
     }
 
@@ -177,7 +179,7 @@ impl Tree {
 
     /// Refines a cell, and what must be with it: the parents of all cells that touch it. Adds those that were not to `refined`.
     fn refine(&mut self, cell: Cell, refined: &mut Vec<Cell>) {
-        if self.is_refined(cell) {
+        if self.has(cell) {
             return;
         }
         self.set(cell, true);
@@ -201,9 +203,10 @@ impl Tree {
 struct Refiner<'a, F> {
     grid: &'a Grid,
     nodes: Nodes,
-    tree: Tree,
+    /// Cells that are divided.
+    tree: Flags,
     /// Cells that triangles reach into.
-    occupied: Tree,
+    occupied: Flags,
     tolerance: f64,
     function: &'a F,
     settings: &'a BakeSettings,
@@ -228,7 +231,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         Refiner {
             grid,
             nodes: Nodes::Grid(*grid),
-            tree: Tree::new(grid.counts, levels),
+            tree: Flags::new(grid.counts, levels),
             occupied: occupied(grid, levels, function),
             tolerance,
             function,
@@ -241,23 +244,45 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     }
 
     fn bricks(&self) -> Bricks {
-        Bricks::new(self.grid.counts, self.tree.levels, |level, index| self.tree.is_refined(Cell { level, index }))
+        Bricks::new(self.grid.counts, self.tree.levels, |level, index| self.tree.has(Cell { level, index }))
     }
 
     fn batch(&self) -> &Batch {
         self.batch.as_ref().expect("the first round has baked")
     }
 
-    /// Bakes the corners of cells that are nodes, and the middles of those that could be divided.
+    /// Where a cell is tested: places, and where in the cell they are, 0 to 1 per axis. Its middle; where a beam of light might pass
+    /// between that and the corners, the middles of its faces, too.
+    fn tests(&self, cell: Cell) -> Vec<([u32; 3], [f32; 3])> {
+        let half = 1 << cell.level >> 1;
+        let origin = cell.origin();
+        let is_wide = |axis: usize| self.grid.counts[axis] > 1;
+        let at = |halves: [u32; 3]| {
+            let halves: [u32; 3] = std::array::from_fn(|axis| if is_wide(axis) { halves[axis] } else { 0 });
+            (std::array::from_fn(|axis| origin[axis] + half * halves[axis]), halves.map(|halves| 0.5 * halves as f32))
+        };
+        let mut tests = Vec::new();
+        if cell.level > 0 {
+            tests.push(at([1; 3]));
+        }
+        if cell.level > 1 {
+            for axis in (0..3).filter(|axis| is_wide(*axis)) {
+                let face = |halves| at(std::array::from_fn(|other| if other == axis { halves } else { 1 }));
+                tests.extend([face(0), face(2)]);
+            }
+        }
+        tests
+    }
+
+    /// Bakes the corners of cells that are nodes, and the places where those are tested that could be divided.
     fn bake_places_of(&mut self, cells: &[Cell]) -> Result<(), Interrupted> {
-        let Tree { counts, levels, .. } = self.tree;
-        let is_refined = |level, index| self.tree.is_refined(Cell { level, index });
+        let Flags { counts, levels, .. } = self.tree;
+        let is_refined = |level, index| self.tree.has(Cell { level, index });
         let mut wanted = Vec::new();
         for cell in cells {
-            let middle = self.middle(*cell);
-            let is_wanted =
-                |place: &[u32; 3]| (cell.level > 0 && *place == middle) || is_node(counts, levels, *place, is_refined);
-            wanted.extend(cell.places(self.grid).filter(is_wanted).map(|place| self.grid.index_of(place)));
+            let nodes = cell.places(self.grid).filter(|place| is_node(counts, levels, *place, is_refined));
+            let tests = self.tests(*cell).into_iter().map(|(place, _)| place);
+            wanted.extend(nodes.chain(tests).map(|place| self.grid.index_of(place)));
         }
         wanted.sort_unstable();
         wanted.dedup();
@@ -300,7 +325,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
             if self.control.cancelled() {
                 return Err(Interrupted);
             }
-            let cut = self.occupied.is_refined(*cell) && self.is_cut(level, *cell);
+            let cut = self.occupied.has(*cell) && self.is_cut(level, *cell);
             Ok((cut || self.is_off(bricks, *cell), level.take_rays()))
         };
         let found: Result<Vec<(bool, u64)>, Interrupted> =
@@ -320,7 +345,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     fn with_gaps(&mut self, cells: impl Iterator<Item = Cell>) -> Result<Vec<Cell>, Interrupted> {
         let is_buried = |cell: &Cell| {
             let is_known_open = |place| self.is_open(place) == Some(true);
-            cell.level == 1 && self.occupied.is_refined(*cell) && !cell.places(self.grid).any(is_known_open)
+            cell.level == 1 && self.occupied.has(*cell) && !cell.places(self.grid).any(is_known_open)
         };
         let buried: Vec<Cell> = cells.filter(is_buried).collect();
         let places = |cell: &Cell| cell.places(self.grid).map(|place| self.grid.index_of(place)).collect::<Vec<u32>>();
@@ -366,16 +391,22 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         (0..places.len()).any(|a| (0..a).any(|b| places[a] != places[b] && !level.is_clear(places[a], places[b])))
     }
 
-    /// What the corners say in the middle of a cell is not what was baked there.
+    /// What the corners say somewhere in a cell is not what was baked there.
     fn is_off(&self, bricks: &Bricks, cell: Cell) -> bool {
+        let corners = bricks.corners(Leaf { origin: cell.origin(), level: cell.level });
+        self.tests(cell).into_iter().any(|(place, share)| self.is_off_at(bricks, &corners, place, share))
+    }
+
+    fn is_off_at(&self, bricks: &Bricks, corners: &Corners, place: [u32; 3], share: [f32; 3]) -> bool {
         let Batch { sites, sampled, median } = self.batch();
-        let Some(&middle) = self.known.get(&self.grid.index_of(self.middle(cell))) else { return false };
-        if sites.standing[middle as usize] != Standing::Open {
+        let Some(&found) = self.known.get(&self.grid.index_of(place)) else { return false };
+        if sites.standing[found as usize] != Standing::Open {
             return false;
         }
-        let corners = bricks.corners(Leaf { origin: cell.origin(), level: cell.level });
-        let weights = self.grid.counts.map(|count| if count > 1 { [0.5, 0.5] } else { [1.0, 0.0] });
-        let mut weights: [f32; 8] = std::array::from_fn(|k| (0..3).map(|axis| weights[axis][k >> axis & 1]).product());
+        let mut weights: [f32; 8] = std::array::from_fn(|corner| {
+            let along = |axis: usize| if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
+            along(0) * along(1) * along(2)
+        });
         corners.spread(&mut weights);
         let (mut sum, mut total, mut variance): (Irradiance, f32, f64) = ([0.0; 27], 0.0, 0.0);
         for (node, weight) in corners.nodes.iter().zip(weights) {
@@ -390,9 +421,9 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         if total < 1e-6 {
             return true;
         }
-        let there = irradiance_of(sampled.node(middle as usize, self.settings));
+        let there = irradiance_of(sampled.node(found as usize, self.settings));
         let difference: Irradiance = std::array::from_fn(|i| sum[i] / total - there[i]);
-        let estimate = &sampled.estimates[middle as usize];
+        let estimate = &sampled.estimates[found as usize];
         let variance = variance / f64::from(total).powi(2) + estimate.standard_error.powi(2);
         let allowed = self.tolerance * estimate.rms_irradiance.max(0.1 * median);
         root_mean_square(&difference).powi(2) > allowed.powi(2) + NOISE * variance
@@ -403,7 +434,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         let Batch { sites, sampled, median } = self.batch();
         let open = || (0..sites.standing.len()).filter(|slot| sites.standing[*slot] == Standing::Open);
         let count = open().count() as f32;
-        if count == 0.0 || !self.occupied.is_whole() {
+        if count == 0.0 || !self.occupied.is_empty() {
             return false;
         }
         let mut mean = [0.0; 27];
@@ -424,17 +455,17 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     fn merge_solid(&mut self) {
         for level in 1..=self.tree.levels {
             let is_buried = |cell: &Cell| {
-                self.tree.is_refined(*cell)
-                    && cell.children(self.grid).all(|child| !self.tree.is_refined(child))
+                self.tree.has(*cell)
+                    && cell.children(self.grid).all(|child| !self.tree.has(child))
                     && cell.places(self.grid).all(|place| self.is_open(place) != Some(true))
             };
             let buried: Vec<Cell> = self.tree.cells_of(level).into_par_iter().filter(is_buried).collect();
             let mut kept = self.tree.clone();
             buried.iter().for_each(|cell| kept.set(*cell, false));
             // What touches smaller cells is needed nevertheless.
-            let mut tree = Tree::new(self.grid.counts, self.tree.levels);
+            let mut tree = Flags::new(self.grid.counts, self.tree.levels);
             for level in 1..=tree.levels {
-                for cell in kept.cells_of(level).into_iter().filter(|cell| kept.is_refined(*cell)) {
+                for cell in kept.cells_of(level).into_iter().filter(|cell| kept.has(*cell)) {
                     tree.refine(cell, &mut Vec::new());
                 }
             }
@@ -471,8 +502,8 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         Ok((nodes, baked, Some(record)))
     }
 
-    /// Compares what the volume answers with what was baked and is no node: the middles of cells that could have been divided, and those
-    /// of some of the finest, which are baked for it.
+    /// Compares what the volume answers with what was baked and is no node: where cells were tested that could have been divided, and
+    /// in the middles of some of the finest, which are baked for it.
     fn check(&self, nodes: &Nodes, baked: &mut Baked, bricks: &Bricks) -> Result<SparseRecord, Interrupted> {
         let volume = volume_of(nodes, baked);
         let leaves: Vec<Leaf> = bricks.leaves().collect();
@@ -499,10 +530,10 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         for leaf in &leaves {
             let (cells, errors) = &mut levels[leaf.level as usize];
             *cells += 1;
-            if leaf.level > 0 {
-                let middle = bricks.middle(leaf.level, leaf.origin);
-                let slot = self.known.get(&self.grid.index_of(middle));
-                let position = self.grid.place_position(middle);
+            let cell = Cell { level: leaf.level, index: leaf.origin.map(|place| place >> leaf.level) };
+            for (place, _) in self.tests(cell).into_iter().filter(|(place, _)| bricks.node_at(*place).is_none()) {
+                let slot = self.known.get(&self.grid.index_of(place));
+                let position = self.grid.place_position(place);
                 errors.extend(slot.and_then(|slot| error(self.batch(), *slot as usize, position)));
             }
         }
@@ -532,8 +563,8 @@ fn root_mean_square(irradiance: &Irradiance) -> f64 {
 }
 
 /// Cells of the levels 1 and up that triangles reach into.
-fn occupied(grid: &Grid, levels: u32, function: &impl RadianceFunction) -> Tree {
-    let mut tree = Tree::new(grid.counts, levels);
+fn occupied(grid: &Grid, levels: u32, function: &impl RadianceFunction) -> Flags {
+    let mut tree = Flags::new(grid.counts, levels);
     let frame = function.frame();
     let coarsest = tree.extent(levels);
     let box_of = |cell: Cell| {

@@ -44,10 +44,18 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
             0 => PlanRow::new("environment", false, "no triangle: plain image based lighting"),
             n => PlanRow::new("environment", true, format!("{n} triangles carry the probes' light")),
         },
-        match (environment, probes) {
-            (0, _) => PlanRow::new("lines-of-sight", false, "no environment geometry could block one"),
-            (_, 0) => PlanRow::new("lines-of-sight", false, "no probe"),
-            (_, n) => PlanRow::new("lines-of-sight", true, format!("from surfaces to {n} probes")),
+        match (environment, probes, function.sees_all_count()) {
+            (0, _, _) => PlanRow::new("lines-of-sight", false, "no environment geometry could block one"),
+            (_, 0, _) => PlanRow::new("lines-of-sight", false, "no probe"),
+            (_, n, 0) => PlanRow::new("lines-of-sight", true, format!("from surfaces to {n} probes")),
+            (_, 1, 1) => PlanRow::new("lines-of-sight", false, "the probe sees all of the environment"),
+            (_, n, all) if n == all => {
+                PlanRow::new("lines-of-sight", false, format!("each of {n} probes sees all of the environment"))
+            }
+            (_, n, all) => {
+                let why = format!("from surfaces to {} of {n} probes: the others see all of the environment", n - all);
+                PlanRow::new("lines-of-sight", true, why)
+            }
         },
         match probes {
             0 => PlanRow::new("blending", false, "no probe"),

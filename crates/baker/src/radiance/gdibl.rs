@@ -142,6 +142,8 @@ pub struct Gdibl<'a> {
     objects: Option<Surfaces>,
     probes: &'a [Probe],
     placed: Vec<PlacedProbe>,
+    /// Per probe: no line of sight to it can be blocked, as far as that can be proven.
+    sees_all: Vec<bool>,
     region_count: usize,
     sky: Option<Sky<'a>>,
     guide: Guide,
@@ -190,6 +192,8 @@ impl<'a> Gdibl<'a> {
         let placed: Vec<PlacedProbe> = probes.iter().map(|probe| PlacedProbe::new(probe, &frame)).collect();
         let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame);
         let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
+        let positions: Vec<Vec3> = placed.iter().map(|probe| probe.position).collect();
+        let sees_all = environment.as_ref().map_or_else(Vec::new, |surfaces| surfaces.seen_whole_from(&positions));
         let effects = match (&environment, &objects, settings.scene_hit) {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment, settings.walks)),
             _ => None,
@@ -219,6 +223,7 @@ impl<'a> Gdibl<'a> {
             objects,
             probes,
             placed,
+            sees_all,
             region_count: regions.count,
             sky: distant.map(Sky::new),
             guide,
@@ -232,6 +237,11 @@ impl<'a> Gdibl<'a> {
     /// How many probes may lend light.
     pub fn probe_count(&self) -> usize {
         self.probes.len()
+    }
+
+    /// How many of them see all of the environment: no line of sight to them is traced.
+    pub fn sees_all_count(&self) -> usize {
+        self.sees_all.iter().filter(|all| **all).count()
     }
 
     /// Bright regions that probes show and that rays go to.
@@ -411,8 +421,13 @@ impl<'a> Gdibl<'a> {
                 break;
             }
             let probe = &self.placed[index as usize];
-            context.rays += 1;
-            let clear = environment.transmittance(self.scene, start, probe.position, Some(hit.triangle));
+            let clear = match self.sees_all[index as usize] {
+                true => 1.0,
+                false => {
+                    context.rays += 1;
+                    environment.transmittance(self.scene, start, probe.position, Some(hit.triangle))
+                }
+            };
             if clear <= 0.0 {
                 continue;
             }

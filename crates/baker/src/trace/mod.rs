@@ -7,6 +7,7 @@
 mod collapse;
 mod level;
 mod simd;
+mod star;
 mod tree;
 mod triangle;
 

@@ -15,6 +15,7 @@ mod probes;
 mod regions;
 mod remembered;
 mod render;
+mod sight;
 mod sparse;
 mod statistics;
 mod sun;

@@ -22,15 +22,17 @@ pub struct Truncation {
 /// What each number of bands loses that is less than the volume has, and says something that fewer do not. Empty without a valid
 /// node.
 pub fn truncations(baked: &Baked) -> Vec<Truncation> {
-    // Per node and band: Σ (A_l L_lm)², which is that of irradiance over all normals.
-    let powers: Vec<Vec<f64>> = baked.valid_nodes().map(|node| band_powers(baked.node(node), baked.bands)).collect();
-    let mut sizes: Vec<f64> = powers.iter().map(|powers| powers.iter().sum::<f64>().sqrt()).collect();
+    // Per node and band: Σ (A_l L_lm)², which is that of irradiance over all normals. Found anew each time, not kept: a level of a
+    // million nodes would take as much memory for it as for its file.
+    let powers = || baked.valid_nodes().map(|node| band_powers(baked.node(node)));
+    let mut sizes: Vec<f64> = powers().map(|powers| powers.iter().sum::<f64>().sqrt()).collect();
     if sizes.is_empty() {
         return Vec::new();
     }
     let middle = sizes.len() / 2;
     let floor = 0.1 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let error = |powers: &Vec<f64>, bands: u32| {
+    drop(sizes);
+    let error = |powers: BandPowers, bands: u32| {
         let lost = powers[bands as usize + 1..].iter().sum::<f64>().sqrt();
         let size = powers.iter().sum::<f64>().sqrt().max(floor);
         if lost == 0.0 { 0.0 } else { lost / size }
@@ -38,14 +40,17 @@ pub fn truncations(baked: &Baked) -> Vec<Truncation> {
     let bands = (0..baked.bands).filter(|bands| sh::COSINE[*bands as usize] != 0.0);
     bands
         .filter_map(|bands| {
-            let error = ErrorSummary::of(powers.iter().map(|powers| error(powers, bands)))?;
+            let error = ErrorSummary::of(powers().map(|powers| error(powers, bands)))?;
             Some(Truncation { bands, error })
         })
         .collect()
 }
 
-fn band_powers(radiance: &[f32], bands: u32) -> Vec<f64> {
-    let mut powers = vec![0.0; bands as usize + 1];
+/// 0 in those above the volume's.
+type BandPowers = [f64; sh::MAX_BANDS as usize + 1];
+
+fn band_powers(radiance: &[f32]) -> BandPowers {
+    let mut powers = BandPowers::default();
     for (index, rgb) in radiance.chunks_exact(3).enumerate() {
         let band = sh::band_of(index);
         powers[band] += rgb.iter().map(|value| (f64::from(sh::COSINE[band]) * f64::from(*value)).powi(2)).sum::<f64>();

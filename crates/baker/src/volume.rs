@@ -5,6 +5,7 @@ use gdibl_runtime::walls::walls_to_bytes;
 use gdibl_runtime::{RadianceSh, Volume, packed};
 use half::f16;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 use crate::bake::{Baked, Nodes, SparseGrid};
 use crate::deringing::{self, Rounding, Search};
@@ -271,7 +272,7 @@ pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
 
 /// Compresses what gains by it, and puts directory and sections one behind the other.
 fn assemble(header: &Header, sections: Vec<([u8; 4], Vec<u8>)>, compress: bool) -> Vec<u8> {
-    let (mut entries, mut stored): (Vec<SectionEntry>, Vec<Vec<u8>>) = sections
+    let (mut entries, stored): (Vec<SectionEntry>, Vec<Vec<u8>>) = sections
         .into_iter()
         .map(|(id, raw)| {
             let raw_size = raw.len() as u64;
@@ -283,17 +284,23 @@ fn assemble(header: &Header, sections: Vec<([u8; 4], Vec<u8>)>, compress: bool) 
         .unzip();
     format::place_sections(&mut entries);
     let mut file = format::directory_to_bytes(header, &entries);
-    for (entry, bytes) in entries.iter().zip(&mut stored) {
+    for (number, (entry, mut bytes)) in entries.iter().zip(stored).enumerate() {
         file.resize(entry.offset as usize, 0);
-        file.append(bytes);
+        if number == 0 {
+            // The first is by far the largest: the file grows around it.
+            bytes.splice(0..0, file);
+            file = bytes;
+        } else {
+            file.append(&mut bytes);
+        }
     }
     file
 }
 
 fn compressed(header: &Header, id: [u8; 4], raw: Vec<u8>) -> (Codec, Filter, Vec<u8>) {
     let (filter, filtered) = match header.element_size(id) {
-        Some(size) => (Filter::ByteShuffle, format::byte_shuffle(&raw, size)),
-        None => (Filter::None, raw.clone()),
+        Some(size) => (Filter::ByteShuffle, Cow::Owned(format::byte_shuffle(&raw, size))),
+        None => (Filter::None, Cow::Borrowed(&raw[..])),
     };
     let packed = id == format::RADIANCE && header.encoding == Encoding::Packed;
     let level = if packed { ZSTD_LEVEL_PACKED } else { ZSTD_LEVEL };

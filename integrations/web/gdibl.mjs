@@ -1,7 +1,8 @@
 // Reads .gdibl irradiance volumes in a page or in Node, by the module gdibl_runtime_c.wasm beside this file. To build it:
 //
 //   rustup target add wasm32-unknown-unknown
-//   cargo build -p gdibl-runtime-c --lib --target wasm32-unknown-unknown --profile wasm --no-default-features
+//   cargo rustc -p gdibl-runtime-c --lib --crate-type cdylib --target wasm32-unknown-unknown --profile wasm \
+//     --no-default-features
 //   cp target/wasm32-unknown-unknown/wasm/gdibl_runtime_c.wasm integrations/web/
 //
 //   const gdibl = await loadGdibl();
@@ -11,9 +12,10 @@
 //
 // Metres, glTF's axes, unit normals. Irradiance E is what falls on a surface, in linear Rec.709: diffuse = albedo / π · E.
 // Coefficients of crates/runtime-c/include/gdibl.h, which says more. A file compressed with zstd needs a module that was
-// built with `--features zstd`.
+// built with `--features zstd`; one built with `--features messages` also says what was found and what was expected where a
+// file is damaged, one built with `--features fast` answers queries faster.
 
-const KINDS = [ 'grid', 'points', 'vertices' ];
+const KINDS = [ 'grid', 'points', 'vertices', 'sparse' ];
 const MESSAGE_BYTES = 512;
 const FLOAT = 4, POINTER = 4, HEADER_BYTES = 72;
 
@@ -33,7 +35,7 @@ class Gdibl {
 
 	}
 
-	/** A volume from a file's bytes. Throws an Error that says where what was found and what was expected. */
+	/** A volume from a file's bytes. Throws an Error that says what is wrong where. */
 	parse( bytes ) {
 
 		return this.borrow( [ bytes.length, POINTER, MESSAGE_BYTES ], ( file, pointer, message ) => {

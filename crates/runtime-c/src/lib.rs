@@ -15,7 +15,6 @@ extern crate alloc;
 mod wasm;
 
 use alloc::boxed::Box;
-use alloc::string::{String, ToString};
 use core::ffi::c_char;
 use core::slice;
 use gdibl_runtime::sh::{MAX_BANDS, MAX_COEFFICIENTS};
@@ -120,7 +119,7 @@ pub unsafe extern "C" fn gdibl_parse(
     message: *mut c_char,
     message_size: usize,
 ) -> GdiblStatus {
-    let mut text = String::new();
+    let mut found = None;
     let status = guarded(|| {
         // SAFETY: `volume` is NULL, which is refused, or can be written.
         unsafe { write(volume, core::ptr::null_mut())? };
@@ -132,22 +131,24 @@ pub unsafe extern "C" fn gdibl_parse(
             _ => unsafe { slice::from_raw_parts(bytes, byte_count) },
         };
         let parsed = Volume::parse(bytes).map_err(|error| {
-            text = error.to_string();
-            match error {
+            let status = match error {
                 Error::Unsupported(_) => GdiblStatus::Unsupported,
                 Error::Invalid(_) => GdiblStatus::Invalid,
-            }
+            };
+            found = Some(error);
+            status
         })?;
         // SAFETY: as above.
         unsafe { write(volume, Box::into_raw(Box::new(GdiblVolume(parsed)))) }
     });
-    match status {
-        GdiblStatus::NullPointer => text.push_str("a pointer is NULL that must not be"),
-        GdiblStatus::Internal => text.push_str("a mistake of this library: please report it"),
-        _ => {}
-    }
+    let parts = match (&found, status) {
+        (Some(error), _) => &error.parts()[..],
+        (None, GdiblStatus::NullPointer) => &["a pointer is NULL that must not be"],
+        (None, GdiblStatus::Internal) => &["a mistake of this library: please report it"],
+        (None, _) => &[],
+    };
     // SAFETY: `message` is NULL, to which nothing is written, or has `message_size` bytes.
-    unsafe { write_message(&text, message.cast(), message_size) };
+    unsafe { write_message(parts, message.cast(), message_size) };
     status
 }
 
@@ -433,20 +434,26 @@ unsafe fn write<T>(place: *mut T, value: T) -> Result<(), GdiblStatus> {
     Ok(())
 }
 
-/// Writes `text` and a final 0, cut off between characters to fit into `size` bytes.
+/// Writes a text in parts and a final 0, cut off between characters to fit into `size` bytes.
 ///
 /// # Safety
 /// `message` is NULL or has `size` bytes.
-unsafe fn write_message(text: &str, message: *mut u8, size: usize) {
+unsafe fn write_message(parts: &[&str], message: *mut u8, size: usize) {
     if message.is_null() || size == 0 {
         return;
     }
-    let length = text.floor_char_boundary(size - 1);
-    // SAFETY: `length` is at most `size - 1`, and `text` is not in the caller's buffer.
-    unsafe {
-        message.copy_from_nonoverlapping(text.as_ptr(), length);
-        message.add(length).write(0);
+    let mut end = 0;
+    for part in parts {
+        let length = part.floor_char_boundary(size - 1 - end);
+        // SAFETY: `end + length` is at most `size - 1`, and `part` is not in the caller's buffer.
+        unsafe { message.add(end).copy_from_nonoverlapping(part.as_ptr(), length) };
+        end += length;
+        if length < part.len() {
+            break;
+        }
     }
+    // SAFETY: `end` is at most `size - 1`.
+    unsafe { message.add(end).write(0) };
 }
 
 #[cfg(test)]
@@ -466,7 +473,7 @@ mod tests {
         {
             let mut buffer = [7u8; 9];
             // SAFETY: the buffer has nine bytes.
-            unsafe { write_message("aé", buffer.as_mut_ptr(), size) };
+            unsafe { write_message(&["a", "é"], buffer.as_mut_ptr(), size) };
             assert_eq!(&buffer[..expected.len()], expected);
             assert!(buffer[expected.len()..].iter().all(|&byte| byte == 7));
         }

@@ -4,9 +4,12 @@
 use alloc::alloc::{alloc, dealloc};
 use core::alloc::Layout;
 use core::ptr;
+use lol_alloc::{AssumeSingleThreaded, FreeListAllocator};
 
 #[global_allocator]
-static ALLOCATOR: dlmalloc::GlobalDlmalloc = dlmalloc::GlobalDlmalloc;
+// SAFETY: without the target feature `atomics` a module has one thread.
+static ALLOCATOR: AssumeSingleThreaded<FreeListAllocator> =
+    unsafe { AssumeSingleThreaded::new(FreeListAllocator::new()) };
 
 /// A trap: an exception in JavaScript.
 #[panic_handler]

@@ -47,7 +47,7 @@ fn the_c_example_agrees_with_rust_linked_either_way() {
         return skip("the_c_example_agrees_with_rust_linked_either_way", "no C compiler `cc`");
     }
     let folder = TempDir::new().unwrap();
-    let built = build_library(&[]);
+    let built = build_library("build", &[]);
     for library in [with_extension(&built, &["a"]), with_extension(&built, &["so", "dylib"])] {
         let program = compile_example(&folder, &library);
         for form in FORMS {
@@ -114,7 +114,7 @@ fn the_c_example_says_what_is_wrong() {
         return skip("the_c_example_says_what_is_wrong", "no C compiler `cc`");
     }
     let folder = TempDir::new().unwrap();
-    let program = compile_example(&folder, &with_extension(&build_library(&[]), &["so", "dylib"]));
+    let program = compile_example(&folder, &with_extension(&build_library("build", &[]), &["so", "dylib"]));
     let path = folder.path().join("volume.gdibl");
     let whole = FORMS[0].bytes();
     std::fs::write(&path, &whole).unwrap();

@@ -19,7 +19,12 @@ fn has_target() -> bool {
 }
 
 fn build_module() -> PathBuf {
-    let built = build_library(&["--target", TARGET, "--profile", "wasm", "--no-default-features"]);
+    // All three kinds of library at once go without link-time optimisation.
+    let kind = ["--crate-type", "cdylib"];
+    let built = build_library(
+        "rustc",
+        &[&kind[..], &["--target", TARGET, "--profile", "wasm", "--no-default-features"]].concat(),
+    );
     with_extension(&built, &["wasm"])
 }
 

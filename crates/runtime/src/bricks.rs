@@ -16,10 +16,10 @@
 //! So the middle of a cell is a node exactly if the cell is refined, and one bit per place of the grid tells all. Bits stand in
 //! *bricks* of 8 × 8 × 8 places: a lookup costs the same in any level, however large. Nodes are numbered brick by brick.
 
+use crate::error::text;
 use crate::grid::{Cell, box_contains, trilinear};
 use crate::walls::WallCell;
 use crate::{Error, Grid};
-use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::array;
@@ -57,9 +57,18 @@ pub fn is_node(counts: [u32; 3], levels: u32, place: [u32; 3], is_refined: impl 
         let cell = place[axis] >> level;
         // Within a cell, or between two; at an end of the grid there is one.
         let low = if place[axis] & ((1 << level) - 1) == 0 { cell.saturating_sub(1) } else { cell };
-        low..=cell.min((counts[axis].max(2) - 2) >> level)
+        low..cell.min((counts[axis].max(2) - 2) >> level) + 1
     };
-    cells(2).all(|z| cells(1).all(|y| cells(0).all(|x| is_refined(level, [x, y, z]))))
+    for z in cells(2) {
+        for y in cells(1) {
+            for x in cells(0) {
+                if !is_refined(level, [x, y, z]) {
+                    return false;
+                }
+            }
+        }
+    }
+    true
 }
 
 /// 8 × 8 × 8 places.
@@ -156,7 +165,7 @@ impl Bricks {
     }
 
     /// The bits of a brick.
-    fn derive(&self, lowest: [u32; 3], is_refined: &impl Fn(u32, [u32; 3]) -> bool) -> [u64; BRICK as usize] {
+    fn derive(&self, lowest: [u32; 3], is_refined: &dyn Fn(u32, [u32; 3]) -> bool) -> [u64; BRICK as usize] {
         let size: [u32; 3] = array::from_fn(|k| (self.counts[k] - lowest[k]).min(BRICK));
         let mut slices = [0; BRICK as usize];
         for z in 0..size[2] {
@@ -248,9 +257,8 @@ impl Bricks {
     /// All leaves, brick by brick.
     pub fn leaves(&self) -> impl Iterator<Item = Leaf> {
         let coarsest = self.counts.map(|count| ((count - 1) >> self.levels).max(1));
-        let places = move |n: [u32; 3]| {
-            (0..n[2]).flat_map(move |z| (0..n[1]).flat_map(move |y| (0..n[0]).map(move |x| [x, y, z])))
-        };
+        let places =
+            |[nx, ny, nz]: [u32; 3]| (0..nx * ny * nz).map(move |index| [index % nx, index / nx % ny, index / nx / ny]);
         let width = self.counts.map(|count| if count > 1 { 1 << self.levels } else { 1 });
         places(coarsest).flat_map(move |cell| {
             let lowest: [u32; 3] = array::from_fn(|k| cell[k] << self.levels);
@@ -360,37 +368,37 @@ impl Bricks {
         let place = "section BRIK";
         let (head, rest) = bytes
             .split_at_checked(16)
-            .ok_or_else(|| Error::invalid(place, format!("{} bytes", bytes.len()), "at least 16"))?;
+            .ok_or_else(|| Error::invalid(place, text!("{} bytes", bytes.len()), "at least 16"))?;
         let word = |k: usize| u32::from_le_bytes(array::from_fn(|i| head[4 * k + i]));
         let (counts, levels) = ([word(0), word(1), word(2)], word(3));
         if !(1..=MAX_LEVELS).contains(&levels) {
-            return Err(Error::invalid(place, format!("{levels} levels"), "1 to 3"));
+            return Err(Error::invalid(place, text!("{levels} levels"), "1 to 3"));
         }
-        let fits = |count: &u32| *count == 1 || (*count > 1 && (count - 1) % (1 << levels) == 0);
+        let fits = |count: &u32| *count == 1 || (*count > 1 && (count - 1).is_multiple_of(1 << levels));
         if !counts.iter().all(fits) || counts == [1; 3] {
-            let expected = format!("multiples of {} and one, or one, and not all one", 1 << levels);
-            return Err(Error::invalid(place, format!("counts {counts:?}"), expected));
+            let expected = text!("multiples of {} and one, or one, and not all one", 1 << levels);
+            return Err(Error::invalid(place, text!("counts {counts:?}"), expected));
         }
-        let product = counts.iter().map(|&count| u128::from(count)).product::<u128>();
         let extent = counts.map(|count| count.div_ceil(BRICK));
-        let number = extent.iter().map(|&n| u128::from(n)).product::<u128>();
         let too_short = || {
-            Error::invalid(place, format!("{} bytes", bytes.len()), format!("16 and one for each of {number} bricks"))
+            let number = extent.iter().map(|&n| u128::from(n)).product::<u128>();
+            Error::invalid(place, text!("{} bytes", bytes.len()), text!("16 and one for each of {number} bricks"))
         };
-        if product > u128::from(u32::MAX) || number > rest.len() as u128 {
-            return Err(too_short());
-        }
-        let (flags, masks) = rest.split_at(number as usize);
+        let number = match counts.iter().try_fold(1, |product: u32, &count| product.checked_mul(count)) {
+            Some(_) => extent.iter().product::<u32>() as usize,
+            None => return Err(too_short()),
+        };
+        let (flags, masks) = rest.split_at_checked(number).ok_or_else(too_short)?;
         if let Some(brick) = flags.iter().position(|&flag| flag > 1) {
-            return Err(Error::invalid(format!("{place}, brick {brick}"), format!("{}", flags[brick]), "0 or 1"));
+            return Err(Error::invalid(text!("section BRIK, brick {brick}"), text!("{}", flags[brick]), "0 or 1"));
         }
         let with_mask = flags.iter().filter(|&&flag| flag == 1).count();
         if masks.len() != with_mask * MASK_SIZE {
-            let expected = format!("{} for {with_mask} bricks with bits", with_mask * MASK_SIZE);
-            return Err(Error::invalid(place, format!("{} bytes after the flags", masks.len()), expected));
+            let expected = text!("{} for {with_mask} bricks with bits", with_mask * MASK_SIZE);
+            return Err(Error::invalid(place, text!("{} bytes after the flags", masks.len()), expected));
         }
         let mut found = Bricks { counts, levels, extent, bricks: Vec::new(), nodes: 0 };
-        found.bricks.reserve_exact(number as usize);
+        found.bricks.reserve_exact(number);
         let mut masks = masks.as_chunks::<MASK_SIZE>().0.iter();
         for (index, &flag) in flags.iter().enumerate() {
             let mask = if flag == 1 { masks.next() } else { None };
@@ -402,8 +410,8 @@ impl Bricks {
         }
         found.check()?;
         if found.node_count() != nodes {
-            let expected = format!("{nodes}, as the header says");
-            return Err(Error::invalid(place, format!("{} nodes", found.nodes), expected));
+            let expected = text!("{nodes}, as the header says");
+            return Err(Error::invalid(place, text!("{} nodes", found.nodes), expected));
         }
         Ok(found)
     }
@@ -412,7 +420,7 @@ impl Bricks {
     fn check(&self) -> Result<(), Error> {
         let is_refined = |level: u32, cell: [u32; 3]| self.leaf(cell.map(|n| n << level)).level < level;
         let wrong = |index: usize, expected: &str| {
-            Err(Error::invalid(format!("section BRIK, brick {index}"), "other bits", expected))
+            Err(Error::invalid(text!("section BRIK, brick {index}"), "other bits", expected))
         };
         for (index, brick) in self.bricks.iter().enumerate() {
             if brick.slices != self.derive(self.lowest_of(index), &is_refined) {

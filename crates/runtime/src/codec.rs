@@ -3,10 +3,10 @@
 //! Nothing is allocated on a length's word: output grows as data arrives, and stops at the size the table announces.
 
 use crate::Error;
+use crate::error::text;
 use crate::format::{Codec, Filter, Header, SectionEntry};
 use crate::shuffle::byte_unshuffle;
 use alloc::borrow::Cow;
-use alloc::format;
 
 /// The bytes of a section, whose checksum has been compared.
 pub(crate) fn decode<'a>(header: &Header, entry: &SectionEntry, stored: &'a [u8]) -> Result<Cow<'a, [u8]>, Error> {
@@ -27,8 +27,8 @@ pub(crate) fn decode<'a>(header: &Header, entry: &SectionEntry, stored: &'a [u8]
             if !bytes.len().is_multiple_of(element_size) {
                 return Err(Error::invalid(
                     entry.place(),
-                    format!("{} bytes", bytes.len()),
-                    format!("whole elements of {element_size} bytes"),
+                    text!("{} bytes", bytes.len()),
+                    text!("whole elements of {element_size} bytes"),
                 ));
             }
             Ok(Cow::Owned(byte_unshuffle(&bytes, element_size)))
@@ -56,11 +56,9 @@ fn decompress(entry: &SectionEntry, mut stored: &[u8]) -> Result<alloc::vec::Vec
     const USUAL_WINDOW: u64 = 8 << 20;
     let raw_size = entry.raw_size;
     let damaged = |reason: &dyn core::fmt::Display| {
-        Error::invalid(entry.place(), format!("damaged data ({reason})"), "one whole zstd frame")
+        Error::invalid(entry.place(), text!("damaged data ({reason})"), "one whole zstd frame")
     };
-    let wrong_size = |found: alloc::string::String| {
-        Error::invalid(entry.place(), found, format!("{raw_size} bytes once decompressed"))
-    };
+    let wrong_size = |found: &str| Error::invalid(entry.place(), found, text!("{raw_size} bytes once decompressed"));
 
     let mut decoder = FrameDecoder::new();
     // The decoder holds back one window of output, so the window is capped as the output is.
@@ -76,16 +74,16 @@ fn decompress(entry: &SectionEntry, mut stored: &[u8]) -> Result<alloc::vec::Vec
                 break;
             }
             if (output.len() + length) as u64 > raw_size {
-                return Err(wrong_size(format!("more than {raw_size} bytes")));
+                return Err(wrong_size(&text!("more than {raw_size} bytes")));
             }
             output.extend_from_slice(&piece[..length]);
         }
     }
     if !stored.is_empty() {
-        return Err(damaged(&format!("{} bytes after the frame", stored.len())));
+        return Err(damaged(&text!("{} bytes after the frame", stored.len())));
     }
     if output.len() as u64 != raw_size {
-        return Err(wrong_size(format!("{} bytes", output.len())));
+        return Err(wrong_size(&text!("{} bytes", output.len())));
     }
     Ok(output)
 }

@@ -14,11 +14,11 @@
 pub use crate::crc32::crc32;
 pub use crate::shuffle::{byte_shuffle, byte_unshuffle};
 
+use crate::error::text;
 use crate::sh::{MAX_BANDS, coefficient_count};
 use crate::{Error, Grid, codec, packed};
 use alloc::borrow::Cow;
-use alloc::format;
-use alloc::string::{String, ToString};
+use alloc::string::String;
 use alloc::vec::Vec;
 
 /// The first eight bytes of every file: no text, no transfer that changes line ends, leaves them whole.
@@ -184,13 +184,22 @@ impl Header {
     /// Bytes of one element of a known section of numbers, which is what a byte shuffle shuffles: `RSH ` and `CERR`
     /// 2 or 4 by encoding (packed: 2 and 4); `COVR`, `SERR`, `WERR` 2; `POSN`, `NORM`, `MESH` 4. None for other sections: they are never shuffled.
     pub fn element_size(&self, id: [u8; 4]) -> Option<usize> {
-        match (id, self.encoding) {
-            (RADIANCE, Encoding::F16 | Encoding::Packed) | (COEFFICIENT_ERRORS, Encoding::F16) => Some(2),
-            (RADIANCE, Encoding::F32) | (COEFFICIENT_ERRORS, Encoding::F32 | Encoding::Packed) => Some(4),
-            (COVERAGE | STANDARD_ERROR | WORST_ERROR, _) => Some(2),
-            (POSITIONS | NORMALS | MESHES, _) => Some(4),
-            _ => None,
-        }
+        let of_encoding = match self.encoding {
+            Encoding::F32 => [4, 4],
+            Encoding::F16 => [2, 2],
+            Encoding::Packed => [2, 4],
+        };
+        let sizes = [
+            (RADIANCE, of_encoding[0]),
+            (COEFFICIENT_ERRORS, of_encoding[1]),
+            (COVERAGE, 2),
+            (STANDARD_ERROR, 2),
+            (WORST_ERROR, 2),
+            (POSITIONS, 4),
+            (NORMALS, 4),
+            (MESHES, 4),
+        ];
+        sizes.iter().find(|(known, _)| *known == id).map(|(_, size)| *size)
     }
 
     /// Bytes that a known section must have once decompressed; None where the header does not tell.
@@ -245,28 +254,28 @@ impl Header {
             1 => Kind::Points,
             2 => Kind::Vertices,
             3 => Kind::Sparse,
-            other => return Err(unknown("byte 12: kind", other, "0 to 3")),
+            other => return Err(unknown("header, byte 12: kind", other, "0 to 3")),
         };
         let encoding = match word(32) {
             0 => Encoding::F32,
             1 => Encoding::F16,
             2 => Encoding::Packed,
-            other => return Err(unknown("byte 32: encoding", other, "0, 1 or 2")),
+            other => return Err(unknown("header, byte 32: encoding", other, "0, 1 or 2")),
         };
         if word(28) > MAX_BANDS {
-            return Err(unknown("byte 28: SH bands", word(28), "0 to 4"));
+            return Err(unknown("header, byte 28: SH bands", word(28), "0 to 4"));
         }
         let units = match word(40) {
             0 => Units::Radiance,
             1 => Units::RadianceDeringed,
-            other => return Err(unknown("byte 40: units", other, "0 or 1")),
+            other => return Err(unknown("header, byte 40: units", other, "0 or 1")),
         };
         let section_count = word(44);
         if section_count as usize > MAX_SECTIONS {
             return Err(Error::invalid(
                 "header, byte 44: section count",
-                section_count.to_string(),
-                format!("at most {MAX_SECTIONS}"),
+                text!("{section_count}"),
+                text!("at most {MAX_SECTIONS}"),
             ));
         }
         let float = |at: usize| f64::from_bits(read_u64(bytes, at));
@@ -288,16 +297,15 @@ impl Header {
 
     fn check_counts(&self) -> Result<(), Error> {
         let place = "header, byte 16: counts";
-        let found = || format!("{:?}", self.counts);
+        let found = || text!("{:?}", self.counts);
         if self.counts.contains(&0) {
             return Err(Error::invalid(place, found(), "at least one node"));
         }
         if self.kind != Kind::Grid && self.counts[1..] != [1, 1] {
             return Err(Error::invalid(place, found(), "[n, 1, 1] unless this is a grid"));
         }
-        // The last factor fits in 64 bits with the product of the first two in 64: so 128 hold all three.
-        let product = self.counts.iter().map(|&count| u128::from(count)).product::<u128>();
-        if product > u128::from(u32::MAX) {
+        let product = self.counts.iter().try_fold(1, |product: u32, &count| product.checked_mul(count));
+        if product.is_none() {
             return Err(Error::unsupported(place, found(), "at most 4294967295 nodes"));
         }
         Ok(())
@@ -312,7 +320,7 @@ impl Header {
             Encoding::Packed if !packed::STEPS.contains(&self.scale) => "a step from 2^-13 to 1",
             _ => return Ok(()),
         };
-        Err(Error::invalid("header, byte 36: scale", format!("{:e}", self.scale), expected))
+        Err(Error::invalid("header, byte 36: scale", text!("{:e}", self.scale), expected))
     }
 
     fn check_box(&self) -> Result<(), Error> {
@@ -321,8 +329,8 @@ impl Header {
             // An infinite or undefined corner, and a box too large for a float, have no finite extent.
             if !((max - min).is_finite() && min <= max) {
                 return Err(Error::invalid(
-                    format!("header, bytes 48 and 72: box, axis {axis}"),
-                    format!("{min:e} to {max:e}"),
+                    text!("header, bytes 48 and 72: box, axis {axis}"),
+                    text!("{min:e} to {max:e}"),
                     "finite numbers, min <= max",
                 ));
             }
@@ -378,18 +386,18 @@ impl SectionEntry {
             0 => Codec::Raw,
             1 => Codec::Zstd,
             other => {
-                return Err(Error::unsupported(place, format!("codec {other}"), "0 or 1"));
+                return Err(Error::unsupported(place, text!("codec {other}"), "0 or 1"));
             }
         };
         let filter = match half(6) {
             0 => Filter::None,
             1 => Filter::ByteShuffle,
             other => {
-                return Err(Error::unsupported(place, format!("filter {other}"), "0 or 1"));
+                return Err(Error::unsupported(place, text!("filter {other}"), "0 or 1"));
             }
         };
         if read_u32(bytes, 36) != 0 {
-            let found = format!("reserved word {}", read_u32(bytes, 36));
+            let found = text!("reserved word {}", read_u32(bytes, 36));
             return Err(Error::invalid(place, found, "0"));
         }
         Ok(SectionEntry {
@@ -411,15 +419,15 @@ impl SectionEntry {
         if self.codec == Codec::Raw && self.raw_size != self.stored_size {
             return Err(Error::invalid(
                 self.place(),
-                format!("{} bytes stored for {}", self.stored_size, self.raw_size),
+                text!("{} bytes stored for {}", self.stored_size, self.raw_size),
                 "as many, since the section is not compressed",
             ));
         }
         match header.raw_size(self.id) {
             Some(expected) if expected != self.raw_size => Err(Error::invalid(
                 self.place(),
-                format!("{} bytes", self.raw_size),
-                format!("{expected} bytes for {} nodes", header.node_count()),
+                text!("{} bytes", self.raw_size),
+                text!("{expected} bytes for {} nodes", header.node_count()),
             )),
             _ => Ok(()),
         }
@@ -478,8 +486,8 @@ pub fn parse_header_and_sections(bytes: &[u8]) -> Result<Directory<'_>, Error> {
     if found != expected {
         return Err(Error::invalid(
             "header and section table",
-            format!("checksum {found:08x}"),
-            format!("{expected:08x}, as written: the file is damaged"),
+            text!("checksum {found:08x}"),
+            text!("{expected:08x}, as written: the file is damaged"),
         ));
     }
     let (header, _) = Header::parse(bytes)?;
@@ -497,8 +505,8 @@ pub fn parse_header_and_sections(bytes: &[u8]) -> Result<Directory<'_>, Error> {
     if end != bytes.len() as u64 {
         return Err(Error::invalid(
             "end of file",
-            format!("{} bytes", bytes.len()),
-            format!("{end} bytes: nothing after the last section"),
+            text!("{} bytes", bytes.len()),
+            text!("{end} bytes: nothing after the last section"),
         ));
     }
     Ok(Directory { header, sections, bytes })
@@ -552,8 +560,8 @@ impl<'a> Directory<'a> {
         if found != entry.crc32 {
             return Err(Error::invalid(
                 entry.place(),
-                format!("checksum {found:08x}"),
-                format!("{:08x}, as written: the file is damaged", entry.crc32),
+                text!("checksum {found:08x}"),
+                text!("{:08x}, as written: the file is damaged", entry.crc32),
             ));
         }
         Ok(())
@@ -566,19 +574,19 @@ fn check_place(bytes: &[u8], entry: &SectionEntry, end: u64) -> Result<u64, Erro
     if entry.offset != start {
         return Err(Error::invalid(
             entry.place(),
-            format!("offset {}", entry.offset),
-            format!("{start}: right after what is before it"),
+            text!("offset {}", entry.offset),
+            text!("{start}: right after what is before it"),
         ));
     }
     let Some(next) = start.checked_add(entry.stored_size).filter(|&next| next <= bytes.len() as u64) else {
         return Err(Error::invalid(
             entry.place(),
-            format!("{} bytes from {start}", entry.stored_size),
-            format!("to end within the file of {} bytes", bytes.len()),
+            text!("{} bytes from {start}", entry.stored_size),
+            text!("to end within the file of {} bytes", bytes.len()),
         ));
     };
     if bytes[end as usize..start as usize].iter().any(|&byte| byte != 0) {
-        return Err(Error::invalid(format!("before {}", entry.place()), "padding other than zeros", "zeros"));
+        return Err(Error::invalid(String::from("before ") + &entry.place(), "padding other than zeros", "zeros"));
     }
     Ok(next)
 }
@@ -586,14 +594,14 @@ fn check_place(bytes: &[u8], entry: &SectionEntry, end: u64) -> Result<u64, Erro
 fn parse_magic_and_version(bytes: &[u8]) -> Result<(), Error> {
     if !bytes.starts_with(&MAGIC) {
         let found = &bytes[..bytes.len().min(MAGIC.len())];
-        return Err(Error::invalid("first bytes", format!("{found:02x?}"), format!("{MAGIC:02x?}: a .gdibl file")));
+        return Err(Error::invalid("first bytes", text!("{found:02x?}"), text!("{MAGIC:02x?}: a .gdibl file")));
     }
     if bytes.len() < 12 {
         return Err(truncated(bytes, HEADER_SIZE as u64));
     }
     match read_u32(bytes, 8) {
         VERSION => Ok(()),
-        other => Err(unknown("byte 8: version", other, "1")),
+        other => Err(unknown("header, byte 8: version", other, "1")),
     }
 }
 
@@ -602,23 +610,25 @@ fn directory_size(section_count: usize) -> usize {
     HEADER_SIZE + section_count * ENTRY_SIZE + 4
 }
 
-fn section_place(id: [u8; 4]) -> String {
-    format!("section {}", id.escape_ascii())
+pub(crate) fn section_place(id: [u8; 4]) -> String {
+    let mut place = String::from("section ");
+    place.extend(id.map(core::ascii::escape_default).into_iter().flatten().map(char::from));
+    place
 }
 
 fn truncated(bytes: &[u8], expected: u64) -> Error {
-    Error::invalid("end of file", format!("{} bytes", bytes.len()), format!("at least {expected}: the file is cut off"))
+    Error::invalid("end of file", text!("{} bytes", bytes.len()), text!("at least {expected}: the file is cut off"))
 }
 
 fn unknown(place: &str, found: u32, expected: &str) -> Error {
-    Error::unsupported(format!("header, {place}"), found.to_string(), expected)
+    Error::unsupported(place, text!("{found}"), expected)
 }
 
 fn over_limit(place: &str, found: u64, limits: &Limits) -> Error {
     Error::unsupported(
         place,
-        format!("{found} bytes once decompressed"),
-        format!("at most {}, the reader's limit", limits.max_bytes),
+        text!("{found} bytes once decompressed"),
+        text!("at most {}, the reader's limit", limits.max_bytes),
     )
 }
 

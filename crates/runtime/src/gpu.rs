@@ -56,12 +56,12 @@
 //! [`Volume::gpu_buffers_packed`].
 
 use crate::bricks::Bricks;
+use crate::error::text;
 use crate::half::f32_to_f16;
 use crate::sh::coefficient_count;
 use crate::volume::{Coefficients, VALID, WALLED};
 use crate::walls::{WallCell, Walls};
 use crate::{Error, Grid, Volume, packed};
-use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -95,7 +95,7 @@ impl Volume {
         let bands = header.bands.min(GPU_BANDS);
         let words = (header.node_count() as u64).saturating_mul(words_per_node(bands) as u64);
         if words > u64::from(u32::MAX) {
-            return Err(Error::unsupported("counts", format!("{words} words"), "at most 4294967295, for shaders"));
+            return Err(Error::unsupported("counts", text!("{words} words"), "at most 4294967295, for shaders"));
         }
         let (scale, coefficients) = self.half_coefficients(bands);
         Ok(self.buffers(&grid, Shaded { bands, scale, step: 0.0, coefficients }))
@@ -112,7 +112,7 @@ impl Volume {
         let values = 3 * coefficient_count(bands);
         let coefficients = packed::shader_words(self.node_count(), values, step, |node| self.node_sh(node));
         if coefficients.len() as u64 > u64::from(u32::MAX) {
-            let found = format!("{} words", coefficients.len());
+            let found = text!("{} words", coefficients.len());
             return Err(Error::unsupported("counts", found, "at most 4294967295, for shaders"));
         }
         Ok(self.buffers(&grid, Shaded { bands, scale: 1.0, step, coefficients }))
@@ -120,7 +120,7 @@ impl Volume {
 
     fn gpu_grid(&self) -> Result<Grid, Error> {
         let kind = self.header.kind;
-        self.grid().ok_or_else(|| Error::unsupported("kind", format!("{kind:?}"), "a grid, for shaders"))
+        self.grid().ok_or_else(|| Error::unsupported("kind", text!("{kind:?}"), "a grid, for shaders"))
     }
 
     fn buffers(&self, grid: &Grid, shaded: Shaded) -> GpuBuffers {

@@ -77,8 +77,14 @@ impl NearestIndex {
     /// Calls `consider` with the index and squared distance of every node that may be within `limit` (squared), which
     /// `consider` may shrink by what it returns.
     fn visit(&self, positions: &[[f32; 3]], query: [f64; 3], limit: f64, consider: &mut impl FnMut(usize, f64) -> f64) {
-        let mut walk = Walk { positions, boxes: &self.boxes, query, limit, consider };
-        walk.range(&self.order, 0);
+        let boxes = &self.boxes;
+        if cfg!(feature = "fast") {
+            Walk { positions, boxes, query, limit, consider }.range(&self.order, 0);
+        } else {
+            // One copy of the walk for all callers.
+            let mut consider: &mut dyn FnMut(usize, f64) -> f64 = consider;
+            Walk { positions, boxes, query, limit, consider: &mut consider }.range(&self.order, 0);
+        }
     }
 }
 
@@ -154,13 +160,48 @@ fn split(positions: &[[f32; 3]], order: &mut [u32], place: usize, boxes: &mut Ve
         }
     }
     let half = order.len() / 2;
-    order.select_nth_unstable_by(half, |&a, &b| {
-        let coordinate = |index: u32| positions[index as usize][widest];
-        coordinate(a).total_cmp(&coordinate(b)).then(a.cmp(&b))
-    });
+    let coordinate = |index: u32| positions[index as usize][widest];
+    if cfg!(feature = "fast") {
+        order.select_nth_unstable_by(half, |&a, &b| coordinate(a).total_cmp(&coordinate(b)).then(a.cmp(&b)));
+    } else {
+        let key = |index: u32| u64::from(sortable(coordinate(index))) << 32 | u64::from(index);
+        let differing = sortable(bounds.min[widest]) ^ sortable(bounds.max[widest]);
+        select(order, half, differing.into(), key);
+    }
     let (lower, higher) = order.split_at_mut(half);
     split(positions, lower, 2 * place + 1, boxes);
     split(positions, higher, 2 * place + 2, boxes);
+}
+
+/// Bits that are in the order of finite floats.
+fn sortable(value: f32) -> u32 {
+    // Of the two zeros only one is left.
+    let bits = (value + 0.0).to_bits();
+    bits ^ ((bits as i32 >> 31) as u32 | 1 << 31)
+}
+
+/// Brings the entries with the `half` least keys before the others.
+///
+/// Halves what is left by one bit of the key after the other, from the highest in `differing` on, which are the key's upper 32:
+/// the bits that are not the same in all. Linear in the entries, whatever they are, in a tenth of the code of
+/// `select_nth_unstable_by` and 1.1 to 3 times its time.
+fn select(order: &mut [u32], half: usize, differing: u64, key: impl Fn(u32) -> u64) {
+    let (mut start, mut end) = (0, order.len());
+    let mut bit = 1 << (63 - (differing << 32 | u64::from(u32::MAX)).leading_zeros());
+    while bit > 0 && end - start > 1 {
+        // Entries of the range that lack the bit come first.
+        let mut middle = start;
+        for place in start..end {
+            order.swap(place, middle);
+            middle += usize::from(key(order[middle]) & bit == 0);
+        }
+        if middle > half {
+            end = middle
+        } else {
+            start = middle
+        }
+        bit >>= 1;
+    }
 }
 
 #[cfg(test)]
@@ -175,6 +216,22 @@ mod tests {
             if coarse { (value * 4.0) as u32 as f32 } else { value * 10.0 }
         };
         (0..count).map(|_| [random(), if flat { 1.0 } else { random() }, random()]).collect()
+    }
+
+    #[test]
+    fn select_brings_the_least_keys_first() {
+        for (flat, coarse) in [(false, false), (true, false), (false, true), (true, true)] {
+            let positions = positions(1000, flat, coarse);
+            for axis in 0..3 {
+                let key = |i: u32| u64::from(sortable(positions[i as usize][axis])) << 32 | u64::from(i);
+                let mut order: Vec<u32> = (0..1000).collect();
+                let least = positions.iter().map(|p| p[axis]).fold(f32::INFINITY, f32::min);
+                let most = positions.iter().map(|p| p[axis]).fold(f32::NEG_INFINITY, f32::max);
+                select(&mut order, 300, (sortable(least) ^ sortable(most)).into(), key);
+                let highest = order[..300].iter().map(|&i| key(i)).max();
+                assert!(highest < order[300..].iter().map(|&i| key(i)).min(), "axis {axis}");
+            }
+        }
     }
 
     #[test]

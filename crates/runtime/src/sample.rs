@@ -16,7 +16,7 @@
 
 use crate::bricks::Bricks;
 use crate::grid::box_contains;
-use crate::half::plain_f16_to_scaled_f32;
+use crate::half::{f16_to_f32, plain_f16_to_scaled_f32};
 use crate::math::square_root;
 use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
 use crate::volume::{Coefficients, SUBNORMAL, VALID, WALLED};
@@ -82,11 +82,11 @@ impl Volume {
     /// The same for levels far from the origin.
     pub fn irradiance_f64(&self, position: [f64; 3], normal: [f32; 3]) -> [f32; 3] {
         match self.header.kind {
-            Kind::Grid | Kind::Sparse => {
+            Kind::Grid | Kind::Sparse if cfg!(feature = "fast") => {
                 let (nodes, weights, _) = self.weights(position, normal);
                 self.blended(&nodes, &weights, |bands, radiance| irradiance(bands, radiance, normal))
             }
-            Kind::Points | Kind::Vertices => self.sample_f64(position, normal).sh.convolve().evaluate(normal),
+            _ => self.sample_f64(position, normal).sh.convolve().evaluate(normal),
         }
     }
 
@@ -173,6 +173,11 @@ impl Volume {
     /// the compiler knows all lengths.
     #[inline(always)]
     fn blended<R>(&self, nodes: &[u32; 8], weights: &[f32; 8], then: impl FnOnce(u32, &[f32]) -> R) -> R {
+        if cfg!(not(feature = "fast")) {
+            let mut sum = [0.0; 3 * MAX_COEFFICIENTS];
+            self.blend_any(nodes, weights, &mut sum);
+            return then(self.header.bands, &sum);
+        }
         match self.header.bands {
             0 => then(0, &self.blend::<4>(nodes, weights)[..3]),
             1 => then(1, &self.blend::<12>(nodes, weights)),
@@ -206,10 +211,17 @@ impl Volume {
     /// The same of whatever numbers.
     #[inline(never)]
     fn blend_any(&self, nodes: &[u32; 8], weights: &[f32; 8], sum: &mut [f32]) {
+        let count = self.header.values_per_node();
         for (&node, weight) in nodes.iter().zip(weights) {
-            let node = self.node_sh(node as usize);
-            for (sum, value) in sum.iter_mut().zip(node.coefficients.as_flattened()) {
-                *sum += weight * value;
+            let row = node as usize * count..(node as usize + 1) * count;
+            match &self.coefficients {
+                Coefficients::F16(all) => {
+                    let values = all[row].iter().map(|&bits| f16_to_f32(bits) * self.scale);
+                    sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
+                }
+                Coefficients::F32(all) => {
+                    sum.iter_mut().zip(&all[row]).for_each(|(sum, value)| *sum += weight * value);
+                }
             }
         }
     }

@@ -5,6 +5,7 @@
 //! together, coefficient by coefficient, red green blue. They stay 16-bit where the file's are; packed ones become that, too.
 
 use crate::bricks::Bricks;
+use crate::error::text;
 use crate::format::{
     self, BRICKS, COVERAGE, Directory, Encoding, Header, Kind, Limits, MESHES, NORMALS, POSITIONS, RADIANCE,
     STANDARD_ERROR, VALIDITY, WALLS,
@@ -13,7 +14,7 @@ use crate::half::{f16_is_finite, f16_is_subnormal, f16_to_f32};
 use crate::nearest::NearestIndex;
 use crate::walls::Walls;
 use crate::{Cell, Error, Grid, RadianceSh, packed};
-use alloc::format;
+use alloc::collections::BinaryHeap;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::ops::Range;
@@ -81,31 +82,42 @@ impl Volume {
     pub fn parse_with_limits(bytes: &[u8], limits: &Limits) -> Result<Volume, Error> {
         let directory = format::parse_header_and_sections(bytes)?;
         directory.check_contents(limits)?;
-        let header = directory.header;
-        let sections = Sections { directory };
+        let mut volume = Volume {
+            header: directory.header,
+            coefficients: Coefficients::F16(Vec::new()),
+            scale: 1.0,
+            marks: None,
+            walls: None,
+            bricks: None,
+            coverage: None,
+            relative_error: None,
+            positions: Vec::new(),
+            index: NearestIndex::default(),
+            normals: Vec::new(),
+            meshes: Vec::new(),
+        };
+        volume.read(&Sections { directory })?;
+        Ok(volume)
+    }
+
+    /// Fills in what the sections say. (Field by field: so no error on the way has anything to give back, which is a lot of
+    /// code.)
+    fn read(&mut self, sections: &Sections<'_>) -> Result<(), Error> {
         sections.check_kind()?;
-        let (coefficients, scale) = sections.coefficients()?;
-        let bricks = sections.bricks()?;
-        let walls = sections.walls(bricks.as_ref())?;
-        let mut marks = marks(sections.validity()?, &coefficients, &header);
-        for cell in walls.iter().filter(|_| bricks.is_none()).flat_map(Walls::cells) {
-            marks.get_or_insert_with(|| vec![VALID; header.node_count()])[cell as usize] |= WALLED;
+        (self.coefficients, self.scale) = sections.coefficients()?;
+        self.bricks = sections.bricks()?;
+        self.walls = sections.walls(self.bricks.as_ref())?;
+        self.marks = marks(sections.validity()?, &self.coefficients, &self.header);
+        for cell in self.walls.iter().filter(|_| self.bricks.is_none()).flat_map(Walls::cells) {
+            self.marks.get_or_insert_with(|| vec![VALID; self.header.node_count()])[cell as usize] |= WALLED;
         }
-        let positions = sections.vectors(POSITIONS)?;
-        Ok(Volume {
-            header,
-            coefficients,
-            scale,
-            marks,
-            walls,
-            bricks,
-            coverage: sections.fractions(COVERAGE, 1.0)?,
-            relative_error: sections.fractions(STANDARD_ERROR, f32::MAX)?,
-            index: NearestIndex::build(&positions),
-            positions,
-            normals: sections.vectors(NORMALS)?,
-            meshes: sections.meshes()?,
-        })
+        self.positions = sections.vectors(POSITIONS)?;
+        self.coverage = sections.fractions(COVERAGE, 1.0)?;
+        self.relative_error = sections.fractions(STANDARD_ERROR, f32::MAX)?;
+        self.index = NearestIndex::build(&self.positions);
+        self.normals = sections.vectors(NORMALS)?;
+        self.meshes = sections.meshes()?;
+        Ok(())
     }
 
     /// The fixed part of the file: kind, box, counts, bands.
@@ -254,9 +266,9 @@ impl Sections<'_> {
                 _ => continue,
             };
             return Err(Error::invalid(
-                format!("section {}", id.escape_ascii()),
+                format::section_place(id),
                 found,
-                format!("{expected} in a volume of kind {kind:?}"),
+                text!("{expected} in a volume of kind {kind:?}"),
             ));
         }
         Ok(())
@@ -284,7 +296,7 @@ impl Sections<'_> {
         match odd {
             None => Ok((coefficients, header.scale)),
             Some(place) => Err(Error::invalid(
-                format!("section RSH , node {}, plane {}", place / planes, place % planes),
+                text!("section RSH , node {}, plane {}", place / planes, place % planes),
                 "infinity or NaN",
                 "a finite number",
             )),
@@ -296,7 +308,7 @@ impl Sections<'_> {
             return Ok(None);
         };
         if let Some(node) = bytes.iter().position(|&byte| byte > 1) {
-            return Err(Error::invalid(format!("section VALD, node {node}"), format!("{}", bytes[node]), "0 or 1"));
+            return Err(Error::invalid(text!("section VALD, node {node}"), text!("{}", bytes[node]), "0 or 1"));
         }
         Ok(Some(bytes.into_owned()))
     }
@@ -327,8 +339,8 @@ impl Sections<'_> {
         match odd {
             None => Ok(Some(values)),
             Some(node) => Err(Error::invalid(
-                format!("section {}, node {node}", id.escape_ascii()),
-                format!("{}", f16_to_f32(values[node])),
+                format::section_place(id) + &text!(", node {node}"),
+                text!("{}", f16_to_f32(values[node])),
                 if max == 1.0 { "0 to 1" } else { "a finite number, at least 0" },
             )),
         }
@@ -341,7 +353,7 @@ impl Sections<'_> {
         let floats: Vec<f32> = floats.collect();
         if let Some(place) = floats.iter().position(|value| !value.is_finite()) {
             return Err(Error::invalid(
-                format!("section {}, node {}", id.escape_ascii(), place / 3),
+                format::section_place(id) + &text!(", node {}", place / 3),
                 "infinity or NaN",
                 "a finite number",
             ));
@@ -353,7 +365,7 @@ impl Sections<'_> {
         let bytes = self.directory.checked_section_bytes(MESHES)?.unwrap_or_default();
         let (records, rest) = bytes.as_chunks::<20>();
         if !rest.is_empty() {
-            return Err(Error::invalid("section MESH", format!("{} bytes", bytes.len()), "whole records of 20 bytes"));
+            return Err(Error::invalid("section MESH", text!("{} bytes", bytes.len()), "whole records of 20 bytes"));
         }
         let nodes = self.directory.header.node_count() as u64;
         let mut sets = Vec::with_capacity(records.len());
@@ -362,19 +374,22 @@ impl Sections<'_> {
             let set = VertexSet { node: word(0), mesh: word(1), primitive: word(2), first: word(3), count: word(4) };
             if u64::from(set.first) + u64::from(set.count) > nodes {
                 return Err(Error::invalid(
-                    format!("section MESH, record {place}"),
-                    format!("{} vertices from {}", set.count, set.first),
-                    format!("to end within the {nodes} of the volume"),
+                    text!("section MESH, record {place}"),
+                    text!("{} vertices from {}", set.count, set.first),
+                    text!("to end within the {nodes} of the volume"),
                 ));
             }
             sets.push(set);
         }
         let key = |set: &VertexSet| (set.node, set.mesh, set.primitive);
-        sets.sort_unstable();
+        // Writers sort them. A heap's sort, for that is little code.
+        if !sets.is_sorted() {
+            sets = BinaryHeap::from(sets).into_sorted_vec();
+        }
         if let Some(pair) = sets.windows(2).find(|pair| key(&pair[0]) == key(&pair[1])) {
             return Err(Error::invalid(
                 "section MESH",
-                format!("two records for node, mesh, primitive {:?}", key(&pair[0])),
+                text!("two records for node, mesh, primitive {:?}", key(&pair[0])),
                 "one",
             ));
         }
@@ -430,7 +445,7 @@ fn interleave<T: Copy + Default, const N: usize>(
         let column = |plane: usize| &elements[plane * nodes + first..plane * nodes + first + count];
         // Four planes at a time: as many reads, a quarter of the writes.
         let mut plane = 0;
-        while plane + 4 <= planes {
+        while cfg!(feature = "fast") && plane + 4 <= planes {
             let [a, b, c, d] = [0, 1, 2, 3].map(|k| column(plane + k));
             for ((((row, &a), &b), &c), &d) in rows.chunks_exact_mut(planes).zip(a).zip(b).zip(c).zip(d) {
                 row[plane..plane + 4].copy_from_slice(&[a, b, c, d].map(&decode));

@@ -4,8 +4,8 @@
 //! a record have no wall in them. All of a file's planes are in one table, for a wall goes through many cells.
 
 use crate::bricks::Bricks;
+use crate::error::text;
 use crate::{Error, Grid};
-use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::array;
@@ -86,12 +86,12 @@ impl Walls {
         let word = |at: usize| u32::from_le_bytes(array::from_fn(|k| bytes[at + k]));
         let (plane_count, cell_count) = match bytes.len() {
             8.. => (word(0) as usize, word(4) as usize),
-            found => return Err(Error::invalid(place, format!("{found} bytes"), "at least 8")),
+            found => return Err(Error::invalid(place, text!("{found} bytes"), "at least 8")),
         };
         let expected = 8 + plane_count as u64 * PLANE_SIZE as u64 + cell_count as u64 * WallCell::SIZE as u64;
         if expected != bytes.len() as u64 {
-            let expected = format!("{expected} for {plane_count} planes and {cell_count} cells");
-            return Err(Error::invalid(place, format!("{} bytes", bytes.len()), expected));
+            let expected = text!("{expected} for {plane_count} planes and {cell_count} cells");
+            return Err(Error::invalid(place, text!("{} bytes", bytes.len()), expected));
         }
         let (planes, cells) = bytes[8..].split_at(plane_count * PLANE_SIZE);
         let planes: Vec<Plane> = planes.as_chunks::<PLANE_SIZE>().0.iter().map(plane_from).collect();
@@ -99,7 +99,7 @@ impl Walls {
         let cells: Vec<WallCell> = records.iter().map(cell_from).collect();
         let is_finite = |plane: &Plane| plane.normal.iter().chain([&plane.distance]).all(|value| value.is_finite());
         if let Some(number) = planes.iter().position(|plane| !is_finite(plane)) {
-            return Err(Error::invalid(format!("{place}, plane {number}"), "infinity or NaN", "finite numbers"));
+            return Err(Error::invalid(text!("section WALL, plane {number}"), "infinity or NaN", "finite numbers"));
         }
         let is_cell = |cell: u32| {
             let place = grid.place_of(cell);
@@ -107,20 +107,20 @@ impl Walls {
         };
         let mut next = 0u64;
         for (number, (cell, cell_bytes)) in cells.iter().zip(records).enumerate() {
-            let place = || format!("{place}, record {number}");
+            let place = || text!("section WALL, record {number}");
             if u64::from(cell.cell) < next || !is_cell(cell.cell) {
-                return Err(Error::invalid(place(), format!("cell {}", cell.cell), "a cell after the one before"));
+                return Err(Error::invalid(place(), text!("cell {}", cell.cell), "a cell after the one before"));
             }
             next = u64::from(cell.cell) + 1;
             let used = cell.planes.iter().position(|plane| *plane == WallCell::NO_PLANE).unwrap_or(MOST_PLANES);
             let (named, rest) = cell.planes.split_at(used);
             let known = named.iter().all(|plane| usize::from(*plane) < planes.len());
             if cell_bytes[11] != 0 {
-                return Err(Error::invalid(place(), format!("byte 11: {}", cell_bytes[11]), "0"));
+                return Err(Error::invalid(place(), text!("byte 11: {}", cell_bytes[11]), "0"));
             }
             if !known || rest.iter().any(|plane| *plane != WallCell::NO_PLANE) {
-                let expected = format!("some of the {} planes, then 65535", planes.len());
-                return Err(Error::invalid(place(), format!("planes {:?}", cell.planes), expected));
+                let expected = text!("some of the {} planes, then 65535", planes.len());
+                return Err(Error::invalid(place(), text!("planes {:?}", cell.planes), expected));
             }
         }
         let blocks = grid.node_count() / BLOCK + 1;

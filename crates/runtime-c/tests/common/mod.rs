@@ -170,21 +170,21 @@ pub fn skip(test: &str, why: &str) {
     writeln!(std::io::stderr(), "\n{test}: SKIPPED: {why}").unwrap();
 }
 
-/// Builds the library of this package with `cargo build`, into the target folder that this test is in, and returns the
+/// Builds the library of this package with a command of cargo (`build`, `rustc`), into the target folder that this test is in, and returns the
 /// files. Where they are only cargo knows (profile, target folder, name on the platform), and whether a test run made
 /// them, too.
-pub fn build_library(arguments: &[&str]) -> Vec<PathBuf> {
+pub fn build_library(command: &str, arguments: &[&str]) -> Vec<PathBuf> {
     let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
     let target_folder = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
     let output = Command::new(cargo)
-        .args(["build", "--package", "gdibl-runtime-c", "--lib", "--message-format", "json", "--target-dir"])
+        .args([command, "--package", "gdibl-runtime-c", "--lib", "--message-format", "json", "--target-dir"])
         .arg(target_folder)
         .args(arguments)
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .stderr(Stdio::inherit())
         .output()
         .unwrap();
-    assert!(output.status.success(), "cargo build {arguments:?}: {}", output.status);
+    assert!(output.status.success(), "cargo {command} {arguments:?}: {}", output.status);
     let lines = String::from_utf8(output.stdout).unwrap();
     let mut messages = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
     let is_library = |message: &serde_json::Value| {

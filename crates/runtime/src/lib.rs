@@ -46,9 +46,9 @@
 //! | [`packed`] | coefficients in few bytes, with a bound on the error of irradiance |
 //!
 //! # Features
-//! `messages` and `fast` (default): errors say what was found and what was expected, beside the place; and sampling has code of
-//! its own for each number of bands. `std` (default) takes square roots and powers from the standard library, `libm` from the crate of that name; without
-//! either the crate uses its own. `zstd` reads compressed sections. There is no other dependency, and no `unsafe`.
+//! Default are `std`, `messages`, `fast`. `std` takes square roots and powers from the standard library, `libm` from the crate of that
+//! name; without either the crate uses its own. With `messages` errors say what was found and what was expected, beside the place. `fast`
+//! has code of its own for each number of bands. `zstd` reads compressed sections. There is no other dependency, and no `unsafe`.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -368,8 +368,9 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         let half = 1 << cell.level >> 1;
         let origin = cell.origin();
         let middle = self.middle(cell);
-        let is_own =
-            |place: &[u32; 3]| *place == middle || (0..3).all(|axis| (place[axis] - origin[axis]) % (2 * half) == 0);
+        let is_own = |place: &[u32; 3]| {
+            *place == middle || (0..3).all(|axis| (place[axis] - origin[axis]).is_multiple_of(2 * half))
+        };
         let sites = &self.batch().sites;
         let mut places = Vec::new();
         let mut hidden = 0;

@@ -83,7 +83,10 @@ fn with_walls(file: File, seed: u64) -> (File, Vec<Plane>) {
     with_walls_in(file, cells, seed)
 }
 
-fn with_walls_in(file: File, boxes: Vec<(u32, ([f64; 3], [f64; 3]))>, seed: u64) -> (File, Vec<Plane>) {
+/// A cell and its box.
+type CellBox = (u32, ([f64; 3], [f64; 3]));
+
+fn with_walls_in(file: File, boxes: Vec<CellBox>, seed: u64) -> (File, Vec<Plane>) {
     let mut random = Random::new(seed);
     let (mut planes, mut cells) = (Vec::new(), Vec::new());
     for (cell, (low, high)) in boxes {
@@ -126,7 +129,7 @@ fn sparse(name: &'static str, counts: [u32; 3], bands: u32, around: [f64; 3], is
         return Case { name, file, counts, planes: Vec::new() };
     }
     let grid = Grid { min: file.min, max: file.max, counts };
-    let mut boxes: Vec<(u32, ([f64; 3], [f64; 3]))> = bricks
+    let mut boxes: Vec<CellBox> = bricks
         .leaves()
         .map(|leaf| {
             let [low, high] = [0, 7].map(|corner| grid.place_position(bricks.corner(leaf, corner)));

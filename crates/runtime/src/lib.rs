@@ -51,6 +51,10 @@
 //! has code of its own for each number of bands. `zstd` reads compressed sections. There is no other dependency, and no `unsafe`.
 #![no_std]
 #![forbid(unsafe_code)]
+#![cfg_attr(
+    not(feature = "messages"),
+    allow(clippy::needless_borrow, clippy::op_ref, reason = "what is a `String` with it")
+)]
 
 extern crate alloc;
 #[cfg(any(feature = "std", test))]

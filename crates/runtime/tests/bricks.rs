@@ -37,7 +37,7 @@ impl Tree {
                     hash = (hash ^ u64::from(n)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
                     hash ^= hash >> 29;
                 }
-                if hash % rarity == 0 {
+                if hash.is_multiple_of(rarity) {
                     tree.refine(level, cell);
                 }
             }

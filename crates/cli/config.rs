@@ -94,7 +94,7 @@ pub struct QualityFlags {
     #[arg(long, value_name = "BANDS", value_parser = parse_bands)]
     #[serde(deserialize_with = "text::bands")]
     pub sh: Option<Bands>,
-    /// Numbers in the file: f16, f32, or packed[:ERROR], a fifth of f16's bytes with at most this error added to E in 95 %
+    /// Numbers in the file: f16, f32, packed or packed:ERROR, a fifth of f16's bytes with at most this error added to E in 95 %
     /// of the nodes (0.002 to 0.1, by default 0.005), with --zstd unless forbidden [default: f16]
     #[arg(long, value_name = "TYPE", value_parser = parse_precision)]
     #[serde(deserialize_with = "text::precision")]

@@ -159,9 +159,9 @@ impl Grid {
     }
 }
 
-/// Weights of a cell's corners at a place in it, 0 to 1 per axis.
+/// Weights of a cell's corners at a place in it, 0 to 1 per axis; 0 on an axis with one node.
 #[inline(always)]
-pub(crate) fn trilinear(share: [f32; 3]) -> [f32; 8] {
+pub fn trilinear(share: [f32; 3]) -> [f32; 8] {
     array::from_fn(|corner| {
         let along = |axis: usize| {
             if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] }

@@ -8,6 +8,7 @@ mod directions;
 mod fill;
 mod gather;
 mod integrate;
+mod irradiance;
 mod nodes;
 mod refine;
 mod sealed;

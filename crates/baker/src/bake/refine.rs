@@ -10,14 +10,14 @@
 
 use gdibl_runtime::Volume;
 use gdibl_runtime::bricks::{Bricks, Corners, Leaf, MAX_LEVELS, is_node};
-use gdibl_runtime::grid::Grid;
+use gdibl_runtime::grid::{Grid, trilinear};
 use gdibl_runtime::sh;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
+use super::irradiance::{Irradiance, difference, irradiance_of, root_mean_square};
 use super::standing::{Sites, Standing};
-use super::walls::{Irradiance, irradiance_of, strength};
 use super::{BakeSettings, Baked, Batch, Nodes, SparseGrid, bake, finish};
 use crate::radiance::RadianceFunction;
 use crate::records::{ErrorSummary, SparseLevel, SparseRecord};
@@ -307,12 +307,6 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         Ok(())
     }
 
-    fn middle(&self, cell: Cell) -> [u32; 3] {
-        let half = 1 << cell.level >> 1;
-        let origin = cell.origin();
-        std::array::from_fn(|axis| origin[axis] + if self.grid.counts[axis] > 1 { half } else { 0 })
-    }
-
     fn is_open(&self, place: [u32; 3]) -> Option<bool> {
         let slot = self.known.get(&self.grid.index_of(place))?;
         Some(self.batch().sites.standing[*slot as usize] == Standing::Open)
@@ -325,7 +319,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
             if self.control.cancelled() {
                 return Err(Interrupted);
             }
-            let cut = self.occupied.has(*cell) && self.is_cut(level, *cell);
+            let cut = self.occupied.has(*cell) && self.is_cut(bricks, level, *cell);
             Ok((cut || self.is_off(bricks, *cell), level.take_rays()))
         };
         let found: Result<Vec<(bool, u64)>, Interrupted> =
@@ -364,10 +358,10 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     }
 
     /// Triangles in a cell stand between some of its corners and middle, or are those of a solid that some are in.
-    fn is_cut(&self, level: &Level, cell: Cell) -> bool {
+    fn is_cut(&self, bricks: &Bricks, level: &Level, cell: Cell) -> bool {
         let half = 1 << cell.level >> 1;
         let origin = cell.origin();
-        let middle = self.middle(cell);
+        let middle = bricks.middle(cell.level, origin);
         let is_own = |place: &[u32; 3]| {
             *place == middle || (0..3).all(|axis| (place[axis] - origin[axis]).is_multiple_of(2 * half))
         };
@@ -399,15 +393,12 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     }
 
     fn is_off_at(&self, bricks: &Bricks, corners: &Corners, place: [u32; 3], share: [f32; 3]) -> bool {
-        let Batch { sites, sampled, median } = self.batch();
+        let Batch { sites, sampled, .. } = self.batch();
         let Some(&found) = self.known.get(&self.grid.index_of(place)) else { return false };
         if sites.standing[found as usize] != Standing::Open {
             return false;
         }
-        let mut weights: [f32; 8] = std::array::from_fn(|corner| {
-            let along = |axis: usize| if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
-            along(0) * along(1) * along(2)
-        });
+        let mut weights = trilinear(share);
         corners.spread(&mut weights);
         let (mut sum, mut total, mut variance): (Irradiance, f32, f64) = ([0.0; 27], 0.0, 0.0);
         for (node, weight) in corners.nodes.iter().zip(weights) {
@@ -422,17 +413,23 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         if total < 1e-6 {
             return true;
         }
-        let there = irradiance_of(sampled.node(found as usize, self.settings));
-        let difference: Irradiance = std::array::from_fn(|i| sum[i] / total - there[i]);
-        let estimate = &sampled.estimates[found as usize];
-        let variance = variance / f64::from(total).powi(2) + estimate.standard_error.powi(2);
+        sum.iter_mut().for_each(|value| *value /= total);
+        !self.is_near(found as usize, &sum, variance / f64::from(total).powi(2))
+    }
+
+    /// Light is what was baked at a slot, give or take the tolerance and noise: `variance` is that of E in it.
+    fn is_near(&self, slot: usize, light: &Irradiance, variance: f64) -> bool {
+        let Batch { sampled, median, .. } = self.batch();
+        let estimate = &sampled.estimates[slot];
+        let off = difference(light, &irradiance_of(sampled.node(slot, self.settings)));
         let allowed = self.tolerance * estimate.rms_irradiance.max(0.1 * median);
-        root_mean_square(&difference).powi(2) > allowed.powi(2) + NOISE * variance
+        let noise = variance + estimate.standard_error.powi(2);
+        root_mean_square(&off).powi(2) <= allowed.powi(2) + NOISE * noise
     }
 
     /// Everything in the open is lit alike, and there is no surface.
     fn is_even(&self) -> bool {
-        let Batch { sites, sampled, median } = self.batch();
+        let Batch { sites, sampled, .. } = self.batch();
         let open = || (0..sites.standing.len()).filter(|slot| sites.standing[*slot] == Standing::Open);
         let count = open().count() as f32;
         if count == 0.0 || !self.occupied.is_empty() {
@@ -443,13 +440,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
             let light = irradiance_of(sampled.node(slot, self.settings));
             mean.iter_mut().zip(light).for_each(|(mean, light)| *mean += light / count);
         }
-        open().all(|slot| {
-            let light = irradiance_of(sampled.node(slot, self.settings));
-            let difference: Irradiance = std::array::from_fn(|i| light[i] - mean[i]);
-            let estimate = &sampled.estimates[slot];
-            let allowed = self.tolerance * estimate.rms_irradiance.max(0.1 * median);
-            root_mean_square(&difference).powi(2) <= allowed.powi(2) + NOISE * estimate.standard_error.powi(2)
-        })
+        open().all(|slot| self.is_near(slot, &mean, 0.0))
     }
 
     /// Puts cells together again in which nothing is in the open.
@@ -553,14 +544,9 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
 fn error_at(volume: &Volume, position: [f64; 3], light: &Irradiance, median: f64) -> Option<f64> {
     let sample = volume.sample_f64(position, [0.0; 3]);
     let found = irradiance_of(sample.sh.coefficients.as_flattened());
-    let difference: Irradiance = std::array::from_fn(|i| found[i] - light[i]);
+    let off = difference(&found, light);
     let scale = root_mean_square(light).max(0.1 * median);
-    (sample.validity > 0.0 && scale > 0.0).then(|| root_mean_square(&difference) / scale)
-}
-
-/// Of irradiance, over all normals and channels.
-fn root_mean_square(irradiance: &Irradiance) -> f64 {
-    strength(irradiance) / (12.0 * std::f64::consts::PI).sqrt()
+    (sample.validity > 0.0 && scale > 0.0).then(|| root_mean_square(&off) / scale)
 }
 
 /// Cells of the levels 1 and up that triangles reach into.

@@ -7,7 +7,7 @@
 //! its faces fall to their own side, however thin it is. What changes light by next to nothing is left out.
 
 use gdibl_runtime::bricks::Corners;
-use gdibl_runtime::sh;
+use gdibl_runtime::grid::trilinear;
 use gdibl_runtime::walls::{BIAS, MOST_PLANES};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::Baked;
 use super::cells::Cells;
+use super::irradiance::{Irradiance, irradiance_of, strength};
 use crate::radiance::RadianceFunction;
 use crate::trace::{Frame, Level};
 use crate::{Control, Interrupted};
@@ -109,21 +110,6 @@ fn median_irradiance(baked: &Baked) -> f64 {
     *all.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Values of E's own coefficients, up to L2: see [`sh::COSINE`]. Their root sum of squares is that of E over all normals.
-pub(super) type Irradiance = [f32; 27];
-
-pub(super) fn irradiance_of(radiance: &[f32]) -> Irradiance {
-    let mut values = [0.0; 27];
-    for (index, (value, radiance)) in values.iter_mut().zip(radiance).enumerate() {
-        *value = radiance * sh::COSINE[sh::band_of(index / 3)];
-    }
-    values
-}
-
-pub(super) fn strength(irradiance: &Irradiance) -> f64 {
-    irradiance.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt()
-}
-
 /// What all cells share.
 struct Search<'a, P> {
     cells: Cells<'a>,
@@ -180,10 +166,7 @@ impl Cell {
         let inside = share.cmpge(Vec3::splat(-SLACK)).all() && share.cmple(Vec3::splat(1.0 + SLACK)).all();
         let share = share.clamp(Vec3::ZERO, Vec3::ONE);
         inside.then(|| {
-            let mut weights = std::array::from_fn(|corner| {
-                let along = |axis: usize| if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
-                along(0) * along(1) * along(2)
-            });
+            let mut weights = trilinear(share.to_array());
             self.corners.spread(&mut weights);
             weights
         })

@@ -6,7 +6,8 @@
 //! which triangles stand between corners, or corners in solids, are always divided: light changes at once at surfaces, and there it is
 //! read most. What lies in solids and outside of the level all through stays coarse.
 //!
-//! Tests cost little more than one node per cell, and those of cells that are divided are nodes of the next level.
+//! Tests of cells that are divided are nodes of the next level; others are the price. Where light is right, nearly, between the corners of
+//! a cell that surfaces divide, its parts need none: the error falls with the square of the distance.
 
 use gdibl_runtime::Volume;
 use gdibl_runtime::bricks::{Bricks, Corners, Leaf, MAX_LEVELS, is_node};
@@ -29,6 +30,8 @@ use crate::{Control, Interrupted};
 const WITHIN: f32 = 0.998;
 /// A difference counts as noise up to the square root of this many times its standard error.
 const NOISE: f64 = 2.0;
+/// Cells as wide as two of the grid's are not tested if light in the cell they are part of is off by this many tolerances at most.
+const EVEN: f64 = 4.0;
 /// No axis of a grid grows by more than this to make whole coarse cells.
 const MOST_GROWTH: f64 = 1.25;
 /// A share of the nodes, and a number, that middles of finest cells are baked for in order to know the error there.
@@ -207,6 +210,8 @@ struct Refiner<'a, F> {
     tree: Flags,
     /// Cells that triangles reach into.
     occupied: Flags,
+    /// Cells whose light is so nearly right that their parts need no test.
+    even: Flags,
     tolerance: f64,
     function: &'a F,
     settings: &'a BakeSettings,
@@ -233,6 +238,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
             nodes: Nodes::Grid(*grid),
             tree: Flags::new(grid.counts, levels),
             occupied: occupied(grid, levels, function),
+            even: Flags::new(grid.counts, levels),
             tolerance,
             function,
             settings,
@@ -252,7 +258,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     }
 
     /// Where a cell is tested: places, and where in the cell they are, 0 to 1 per axis. Its middle; where a beam of light might pass
-    /// between that and the corners, the middles of its faces, too.
+    /// between that and the corners, the middles of its faces, too. Nowhere if it needs no test.
     fn tests(&self, cell: Cell) -> Vec<([u32; 3], [f32; 3])> {
         let half = 1 << cell.level >> 1;
         let origin = cell.origin();
@@ -261,6 +267,10 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
             let halves: [u32; 3] = std::array::from_fn(|axis| if is_wide(axis) { halves[axis] } else { 0 });
             (std::array::from_fn(|axis| origin[axis] + half * halves[axis]), halves.map(|halves| 0.5 * halves as f32))
         };
+        let parent = Cell { level: 2, index: cell.index.map(|n| n / 2) };
+        if cell.level == 1 && self.tree.levels > 1 && self.even.has(parent) {
+            return Vec::new();
+        }
         let mut tests = Vec::new();
         if cell.level > 0 {
             tests.push(at([1; 3]));
@@ -315,22 +325,25 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     /// The cells that have to be divided.
     fn divided(&mut self, bricks: &Bricks, cells: &[Cell]) -> Result<Vec<Cell>, Interrupted> {
         let coarse: Vec<Cell> = cells.iter().copied().filter(|cell| cell.level > 0).collect();
-        let is_cut = |level: &mut Level, cell: &Cell| {
+        let look = |level: &mut Level, cell: &Cell| {
             if self.control.cancelled() {
                 return Err(Interrupted);
             }
-            let cut = self.occupied.has(*cell) && self.is_cut(bricks, level, *cell);
-            Ok((cut || self.is_off(bricks, *cell), level.take_rays()))
+            let is_cut = self.occupied.has(*cell) && self.is_cut(bricks, level, *cell);
+            Ok((is_cut, self.excess(bricks, *cell), level.take_rays()))
         };
-        let found: Result<Vec<(bool, u64)>, Interrupted> =
-            coarse.par_iter().map_init(|| self.function.level(), is_cut).collect();
+        let found: Result<Vec<(bool, f64, u64)>, Interrupted> =
+            coarse.par_iter().map_init(|| self.function.level(), look).collect();
         let found = found?;
-        let rays = found.iter().map(|(_, rays)| rays).sum();
+        let rays = found.iter().map(|(_, _, rays)| rays).sum();
         (self.control.progress)(0, rays);
         self.rays += rays;
-        let (divided, whole): (Vec<_>, Vec<_>) = coarse.into_iter().zip(found).partition(|(_, (divided, _))| *divided);
-        let mut divided: Vec<Cell> = divided.into_iter().map(|(cell, _)| cell).collect();
-        divided.extend(self.with_gaps(whole.into_iter().map(|(cell, _)| cell))?);
+        let (mut divided, mut whole) = (Vec::new(), Vec::new());
+        for (cell, (is_cut, excess, _)) in coarse.into_iter().zip(found) {
+            self.even.set(cell, excess <= EVEN);
+            if is_cut || excess > 1.0 { &mut divided } else { &mut whole }.push(cell);
+        }
+        divided.extend(self.with_gaps(whole.into_iter())?);
         Ok(divided)
     }
 
@@ -386,17 +399,20 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         (0..places.len()).any(|a| (0..a).any(|b| places[a] != places[b] && !level.is_clear(places[a], places[b])))
     }
 
-    /// What the corners say somewhere in a cell is not what was baked there.
-    fn is_off(&self, bricks: &Bricks, cell: Cell) -> bool {
+    /// By how many tolerances what the corners say of places in a cell is off what was baked there, at most.
+    fn excess(&self, bricks: &Bricks, cell: Cell) -> f64 {
         let corners = bricks.corners(Leaf { origin: cell.origin(), level: cell.level });
-        self.tests(cell).into_iter().any(|(place, share)| self.is_off_at(bricks, &corners, place, share))
+        self.tests(cell)
+            .into_iter()
+            .map(|(place, share)| self.excess_at(bricks, &corners, place, share))
+            .fold(0.0, f64::max)
     }
 
-    fn is_off_at(&self, bricks: &Bricks, corners: &Corners, place: [u32; 3], share: [f32; 3]) -> bool {
+    fn excess_at(&self, bricks: &Bricks, corners: &Corners, place: [u32; 3], share: [f32; 3]) -> f64 {
         let Batch { sites, sampled, .. } = self.batch();
-        let Some(&found) = self.known.get(&self.grid.index_of(place)) else { return false };
+        let Some(&found) = self.known.get(&self.grid.index_of(place)) else { return 0.0 };
         if sites.standing[found as usize] != Standing::Open {
-            return false;
+            return 0.0;
         }
         let mut weights = trilinear(share);
         corners.spread(&mut weights);
@@ -411,20 +427,21 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
             }
         }
         if total < 1e-6 {
-            return true;
+            return f64::INFINITY;
         }
         sum.iter_mut().for_each(|value| *value /= total);
-        !self.is_near(found as usize, &sum, variance / f64::from(total).powi(2))
+        self.off_by(found as usize, &sum, variance / f64::from(total).powi(2))
     }
 
-    /// Light is what was baked at a slot, give or take the tolerance and noise: `variance` is that of E in it.
-    fn is_near(&self, slot: usize, light: &Irradiance, variance: f64) -> bool {
+    /// By how many tolerances light is off what was baked at a slot, more than noise explains: `variance` is that of E in it.
+    fn off_by(&self, slot: usize, light: &Irradiance, variance: f64) -> f64 {
         let Batch { sampled, median, .. } = self.batch();
         let estimate = &sampled.estimates[slot];
-        let off = difference(light, &irradiance_of(sampled.node(slot, self.settings)));
-        let allowed = self.tolerance * estimate.rms_irradiance.max(0.1 * median);
-        let noise = variance + estimate.standard_error.powi(2);
-        root_mean_square(&off).powi(2) <= allowed.powi(2) + NOISE * noise
+        let off = root_mean_square(&difference(light, &irradiance_of(sampled.node(slot, self.settings))));
+        let noise = NOISE * (variance + estimate.standard_error.powi(2));
+        let beyond = (off.powi(2) - noise).max(0.0).sqrt();
+        // All black: nothing is off.
+        if beyond == 0.0 { 0.0 } else { beyond / (self.tolerance * estimate.rms_irradiance.max(0.1 * median)) }
     }
 
     /// Everything in the open is lit alike, and there is no surface.
@@ -440,7 +457,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
             let light = irradiance_of(sampled.node(slot, self.settings));
             mean.iter_mut().zip(light).for_each(|(mean, light)| *mean += light / count);
         }
-        open().all(|slot| self.is_near(slot, &mean, 0.0))
+        open().all(|slot| self.off_by(slot, &mean, 0.0) <= 1.0)
     }
 
     /// Puts cells together again in which nothing is in the open.
@@ -495,48 +512,63 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     }
 
     /// Compares what the volume answers with what was baked and is no node: where cells were tested that could have been divided, and
-    /// in the middles of some of the finest, which are baked for it.
+    /// in the middles of some of those that were not, which are baked for it.
     fn check(&self, nodes: &Nodes, baked: &mut Baked, bricks: &Bricks) -> Result<SparseRecord, Interrupted> {
         let volume = volume_of(nodes, baked);
-        let leaves: Vec<Leaf> = bricks.leaves().collect();
-        let finest: Vec<Leaf> = leaves.iter().copied().filter(|leaf| leaf.level == 0).collect();
-        let most = (volume.node_count() / CHECKED_SHARE).min(MOST_CHECKED);
-        let every = finest.len().div_ceil(most.max(1)).max(1);
+        let most = (volume.node_count() / CHECKED_SHARE).clamp(1, MOST_CHECKED);
+        let cell_of = |leaf: &Leaf| Cell { level: leaf.level, index: leaf.origin.map(|place| place >> leaf.level) };
+        let mut levels: Vec<(u64, Vec<Leaf>)> = vec![(0, Vec::new()); self.tree.levels as usize + 1];
+        for leaf in bricks.leaves() {
+            levels[leaf.level as usize].1.push(leaf);
+        }
+        // Where the light of some was tested alone, what is off in those says nothing of all.
+        for (count, leaves) in &mut levels {
+            *count = leaves.len() as u64;
+            if leaves.iter().any(|leaf| self.tests(cell_of(leaf)).is_empty()) {
+                let every = leaves.len().div_ceil(most);
+                *leaves = leaves.iter().copied().skip(every / 2).step_by(every).collect();
+            }
+        }
         let middle = |leaf: &Leaf| {
             let [low, high] = [0, 7].map(|corner| DVec3::from(self.grid.place_position(bricks.corner(*leaf, corner))));
             (low + high) / 2.0
         };
-        let places: Vec<DVec3> = finest.iter().skip(every / 2).step_by(every).take(most).map(middle).collect();
-        let places = Nodes::Points(places);
-        let median = &self.batch().median;
+        let untested = |leaf: &&Leaf| self.tests(cell_of(leaf)).is_empty();
+        let places =
+            Nodes::Points(levels.iter().flat_map(|(_, leaves)| leaves.iter().filter(untested).map(middle)).collect());
+        let median = self.batch().median;
         let numbers = (0..places.len() as u32).collect();
-        let checks = Batch::sample(&places, numbers, Some(*median), self.function, self.settings, self.control)?;
+        let checks = Batch::sample(&places, numbers, Some(median), self.function, self.settings, self.control)?;
         baked.rays += checks.sites.rays + checks.sampled.rays;
         baked.samples += checks.sampled.samples;
 
-        let mut levels = vec![(0, Vec::new()); self.tree.levels as usize + 1];
-        let error = |Batch { sites, sampled, .. }: &Batch, slot: usize, position: [f64; 3]| {
+        let error = |Batch { sites, sampled, .. }: &Batch, slot: usize, position: DVec3| {
             let light = irradiance_of(sampled.node(slot, self.settings));
-            (sites.standing[slot] == Standing::Open).then(|| error_at(&volume, position, &light, *median)).flatten()
+            (sites.standing[slot] == Standing::Open)
+                .then(|| error_at(&volume, position.into(), &light, median))
+                .flatten()
         };
-        for leaf in &leaves {
-            let (cells, errors) = &mut levels[leaf.level as usize];
-            *cells += 1;
-            let cell = Cell { level: leaf.level, index: leaf.origin.map(|place| place >> leaf.level) };
-            for (place, _) in self.tests(cell).into_iter().filter(|(place, _)| bricks.node_at(*place).is_none()) {
-                let slot = self.known.get(&self.grid.index_of(place));
-                let position = self.grid.place_position(place);
-                errors.extend(slot.and_then(|slot| error(self.batch(), *slot as usize, position)));
+        let mut checked = 0;
+        let mut record =
+            SparseRecord { tolerance: self.tolerance, places: self.grid.node_count() as u64, levels: Vec::new() };
+        for (cells, leaves) in levels {
+            let mut errors = Vec::new();
+            for leaf in leaves {
+                let tests = self.tests(cell_of(&leaf));
+                if tests.is_empty() {
+                    errors.extend(error(&checks, checked, middle(&leaf)));
+                    checked += 1;
+                }
+                for (place, _) in tests.into_iter().filter(|(place, _)| bricks.node_at(*place).is_none()) {
+                    let slot = self.known.get(&self.grid.index_of(place));
+                    let position = DVec3::from(self.grid.place_position(place));
+                    errors.extend(slot.and_then(|slot| error(self.batch(), *slot as usize, position)));
+                }
             }
+            let checked = errors.len() as u64;
+            record.levels.push(SparseLevel { cells, checked, error: ErrorSummary::of(errors.into_iter()) });
         }
-        levels[0].1.extend((0..places.len()).filter_map(|slot| error(&checks, slot, places.position(slot).into())));
-        let levels = levels.into_iter().map(|(cells, errors)| SparseLevel {
-            cells,
-            checked: errors.len() as u64,
-            error: ErrorSummary::of(errors.into_iter()),
-        });
-        let places = self.grid.node_count() as u64;
-        Ok(SparseRecord { tolerance: self.tolerance, places, levels: levels.collect() })
+        Ok(record)
     }
 }
 

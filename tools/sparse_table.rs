@@ -6,8 +6,9 @@
 //! The level is baked by path tracing: dense, at the spacing; sparse, down to that spacing, with each tolerance; and with four times
 //! the samples (default 1024) at points (default 10 000) anywhere in the box, in the open: the truth. Error of E: root mean square over
 //! normals and channels, over the larger of the truth's own and a tenth of its median. *Added* compares sparse with dense at the
-//! points: their noise is in it, and most of it is of the same nodes. Time is that of the whole bake, of both in this run.
+//! points: their noise is in it, and most of it is of the same nodes. Time is CPU time of the whole bake, of both in this run.
 
+use cpu_time::ProcessTime;
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake_sparse, grid_of_cells, grid_of_spacing};
 use gdibl_baker::radiance::path::{Path, PathSettings};
@@ -17,7 +18,6 @@ use gdibl_runtime::{RadianceSh, Volume, sh};
 use gdibl_tools::{bake_all, read_distant, read_scene};
 use glam::DVec3;
 use std::sync::atomic::AtomicBool;
-use std::time::Instant;
 
 const USAGE: &str =
     "sparse_table LEVEL --spacing M --tolerance F... [--distant SKY] [--bounds BOX] [--samples N] [--points N]";
@@ -73,7 +73,7 @@ fn main() {
     };
     let at = |volume: &Volume, place: usize| volume.sample_f64(points.position(open[place]).into(), [0.0; 3]).sh;
 
-    let started = Instant::now();
+    let started = ProcessTime::now();
     let nodes = Nodes::Grid(grid);
     let full = bake_all(&function, &nodes, &settings);
     let full_seconds = started.elapsed().as_secs_f64();
@@ -89,10 +89,10 @@ fn main() {
         full.valid_nodes().count(),
         full.rays as f64 / 1e6
     );
-    println!("| tolerance | nodes | rays | time | bytes | added: median, 95 % | error | of the dense grid |");
+    println!("| tolerance | nodes | rays | CPU time | bytes | added: median, 95 % | error | of the dense grid |");
     println!("|---|---|---|---|---|---|---|---|");
     for tolerance in tolerances {
-        let started = Instant::now();
+        let started = ProcessTime::now();
         let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
         let (sparse_nodes, baked, record) =
             bake_sparse(&grid, tolerance, &function, &settings, &control).expect("nobody interrupts a tool");

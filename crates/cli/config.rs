@@ -538,7 +538,7 @@ fn parse_scene_hit(text: &str) -> Result<SceneHit, String> {
     }
 }
 
-fn parse_bands(text: &str) -> Result<Bands, String> {
+pub fn parse_bands(text: &str) -> Result<Bands, String> {
     let bands = text
         .strip_prefix('L')
         .and_then(|digits| digits.parse().ok())
@@ -550,7 +550,7 @@ fn parse_bands(text: &str) -> Result<Bands, String> {
     }
 }
 
-fn parse_precision(text: &str) -> Result<Precision, String> {
+pub fn parse_precision(text: &str) -> Result<Precision, String> {
     match text {
         "f16" => Ok(Precision::F16),
         "f32" => Ok(Precision::F32),

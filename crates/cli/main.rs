@@ -38,6 +38,8 @@ enum Verb {
     Render(Box<commands::render::Arguments>),
     /// Convert a volume for an engine: Bevy, three.js, Godot, Unity, or as OpenEXR or JSON, and tell what that loses
     Export(commands::export::Arguments),
+    /// Cut smaller volumes out of one: coarser, in tiles, with fewer bands; and tell what that loses
+    Cut(commands::cut::Arguments),
     /// Error of a volume against another volume or a reference JSON
     Compare(commands::compare::Arguments),
     /// Error against run time, over methods and budgets: a page to read, CSV, JSON and SVG
@@ -53,6 +55,7 @@ fn main() -> ExitCode {
         Verb::Sample(arguments) => commands::sample::run(arguments),
         Verb::Render(arguments) => commands::render::run(*arguments),
         Verb::Export(arguments) => commands::export::run(arguments),
+        Verb::Cut(arguments) => commands::cut::run(arguments),
         Verb::Compare(arguments) => commands::compare::run(arguments),
         Verb::Study(arguments) => commands::study::run(*arguments),
     };

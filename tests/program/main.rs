@@ -7,6 +7,7 @@ mod bake;
 mod capture;
 mod compare;
 mod config;
+mod cut;
 mod dering;
 mod export;
 mod exposure;

@@ -5,7 +5,7 @@
 //! ```text
 //! import ─→ scene, panorama ─→ trace ─→ radiance ─→ bake ─→ volume ─→ .gdibl
 //!                                          ↑          ↑
-//!                                   gdibl or path  sampling        beside it: capture, render, plan, records
+//!                                   gdibl or path  sampling        beside it: capture, render, plan, records, cut
 //! ```
 //! Only [`import`] knows files, and [`volume`] how one is written whole; the library never prints. World axes are glTF's:
 //! right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance coefficients L_lm; who shades
@@ -16,6 +16,7 @@ pub mod bake;
 pub mod bands;
 pub mod capture;
 mod control;
+pub mod cut;
 pub mod deringing;
 pub mod error;
 pub mod import;

@@ -3,6 +3,7 @@
 pub mod bake;
 pub mod capture;
 pub mod compare;
+pub mod cut;
 pub mod export;
 pub mod inspect;
 pub mod probes;

@@ -12,7 +12,7 @@ use crate::format::{
 };
 use crate::half::{f16_is_finite, f16_is_subnormal, f16_to_f32};
 use crate::nearest::NearestIndex;
-use crate::walls::Walls;
+use crate::walls::{Plane, WallCell, Walls};
 use crate::{Cell, Error, Grid, RadianceSh, packed};
 use alloc::collections::BinaryHeap;
 use alloc::vec;
@@ -160,6 +160,11 @@ impl Volume {
     /// How many cells of a grid have walls in them that keep light on its side.
     pub fn walled_cells(&self) -> usize {
         self.walls.as_ref().map_or(0, Walls::len)
+    }
+
+    /// The walls in a grid's cells, and their planes; empty where there are none.
+    pub fn wall_tables(&self) -> (&[Plane], &[WallCell]) {
+        self.walls.as_ref().map_or((&[], &[]), Walls::tables)
     }
 
     /// The share of what node `node` sees (by solid angle) that some probe has seen, 0..=1.

@@ -7,13 +7,13 @@ use super::{Nodes, SparseGrid};
 
 /// Cells are known by the index of their lowest place in the grid.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Cells<'a> {
+pub(crate) struct Cells<'a> {
     pub grid: &'a Grid,
     bricks: Option<&'a Bricks>,
 }
 
 /// Along -x, +x, -y, +y, -z, +z: a node, and how many places of the grid it is away.
-pub(super) type Neighbours = [Option<(u32, u32)>; 6];
+pub(crate) type Neighbours = [Option<(u32, u32)>; 6];
 
 impl<'a> Cells<'a> {
     /// `None` where nothing lies between nodes.
@@ -35,6 +35,11 @@ impl<'a> Cells<'a> {
                 cells
             }
         }
+    }
+
+    /// The cell that the grid's own cell at a place is part of.
+    pub fn cell_of(&self, place: [u32; 3]) -> u32 {
+        self.grid.index_of(self.bricks.map_or(place, |bricks| bricks.leaf(place).origin))
     }
 
     fn leaf(&self, cell: u32) -> Leaf {

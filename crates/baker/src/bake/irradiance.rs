@@ -3,10 +3,10 @@
 use gdibl_runtime::sh;
 
 /// Values of E's own coefficients, up to L2: see [`sh::COSINE`]. Their root sum of squares is that of E over all normals.
-pub(super) type Irradiance = [f32; 27];
+pub(crate) type Irradiance = [f32; 27];
 
 /// Of radiance coefficients, `[coefficient][rgb]` flat.
-pub(super) fn irradiance_of(radiance: &[f32]) -> Irradiance {
+pub(crate) fn irradiance_of(radiance: &[f32]) -> Irradiance {
     let mut values = [0.0; 27];
     for (index, (value, radiance)) in values.iter_mut().zip(radiance).enumerate() {
         *value = radiance * sh::COSINE[sh::band_of(index / 3)];
@@ -15,16 +15,16 @@ pub(super) fn irradiance_of(radiance: &[f32]) -> Irradiance {
 }
 
 /// Root sum of squares.
-pub(super) fn strength(irradiance: &Irradiance) -> f64 {
+pub(crate) fn strength(irradiance: &Irradiance) -> f64 {
     irradiance.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Of E over all normals and channels.
-pub(super) fn root_mean_square(irradiance: &Irradiance) -> f64 {
+pub(crate) fn root_mean_square(irradiance: &Irradiance) -> f64 {
     strength(irradiance) / (12.0 * std::f64::consts::PI).sqrt()
 }
 
 /// a - b.
-pub(super) fn difference(a: &Irradiance, b: &Irradiance) -> Irradiance {
+pub(crate) fn difference(a: &Irradiance, b: &Irradiance) -> Irradiance {
     std::array::from_fn(|i| a[i] - b[i])
 }

@@ -20,11 +20,12 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::Mutex;
 
-use cells::Cells;
+pub(crate) use cells::Cells;
 pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 pub use integrate::INTERVAL_95;
 use integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence};
+pub(crate) use irradiance::{Irradiance, difference, irradiance_of, root_mean_square, strength};
 pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_spacing};
 pub use refine::{bake_sparse, grid_of_cells, levels_of};
 pub use sealed::is_sealed;

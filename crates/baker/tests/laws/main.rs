@@ -1,6 +1,7 @@
 //! Laws that every bake obeys, whatever the level: numbers come after.
 
 mod blending;
+mod cut;
 mod deringing;
 mod exact;
 mod exposure;

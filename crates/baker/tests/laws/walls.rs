@@ -14,7 +14,7 @@ use std::sync::atomic::AtomicBool;
 
 use crate::level::{add, box_of, distant, gdibl, panorama, probe, single, solid_of};
 
-fn bake_grid(grid: Grid, function: &impl RadianceFunction) -> (Baked, Volume) {
+pub fn bake_grid(grid: Grid, function: &impl RadianceFunction) -> (Baked, Volume) {
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
     let nodes = Nodes::Grid(grid);
     let settings = BakeSettings { samples: 256, ..BakeSettings::default() };
@@ -24,7 +24,7 @@ fn bake_grid(grid: Grid, function: &impl RadianceFunction) -> (Baked, Volume) {
 }
 
 /// A bright room at x < 0, and a black one behind a wall.
-fn two_rooms(wall: f64) -> (Scene, [Probe; 2]) {
+pub fn two_rooms(wall: f64) -> (Scene, [Probe; 2]) {
     let mut scene = Scene::default();
     add(&mut scene, Role::Environment, &box_of(DVec3::new(-3.0, -1.5, -2.0), DVec3::new(0.0, 1.5, 2.0)));
     add(&mut scene, Role::Environment, &box_of(DVec3::new(wall, -1.5, -2.0), DVec3::new(3.0, 1.5, 2.0)));
@@ -32,7 +32,7 @@ fn two_rooms(wall: f64) -> (Scene, [Probe; 2]) {
 }
 
 /// Least and greatest E over π in planes of constant x, over the whole height and width of the rooms, with every normal.
-fn range(volume: &Volume, planes: &[f64]) -> (f64, f64) {
+pub fn range(volume: &Volume, planes: &[f64]) -> (f64, f64) {
     let mut range = (f64::INFINITY, f64::NEG_INFINITY);
     for x in planes {
         for [y, z] in (0..=8).flat_map(|i| (0..=8).map(move |k| [i, k])) {

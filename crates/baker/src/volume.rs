@@ -5,7 +5,7 @@ use gdibl_runtime::walls::walls_to_bytes;
 use gdibl_runtime::{RadianceSh, Volume, packed};
 use half::f16;
 use rayon::prelude::*;
-use std::borrow::Cow;
+use std::io::{BufWriter, Write};
 
 use crate::bake::{Baked, Nodes, SparseGrid};
 use crate::deringing::{self, Rounding, Search};
@@ -60,6 +60,9 @@ pub struct Packed {
 const ZSTD_LEVEL: i32 = 3;
 /// That of packed coefficients, where it buys 10 %.
 const ZSTD_LEVEL_PACKED: i32 = 19;
+
+/// Bytes that are compressed at a time.
+const PIECE: usize = 1 << 16;
 
 /// Makes the file, and adds to the records what packing itself does.
 pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSettings) -> Packed {
@@ -297,14 +300,24 @@ fn assemble(header: &Header, sections: Vec<([u8; 4], Vec<u8>)>, compress: bool) 
     file
 }
 
+/// One frame, if that is smaller. Bytes are shuffled on their way: copies of coefficients are as large as the file.
 fn compressed(header: &Header, id: [u8; 4], raw: Vec<u8>) -> (Codec, Filter, Vec<u8>) {
-    let (filter, filtered) = match header.element_size(id) {
-        Some(size) => (Filter::ByteShuffle, Cow::Owned(format::byte_shuffle(&raw, size))),
-        None => (Filter::None, Cow::Borrowed(&raw[..])),
-    };
     let packed = id == format::RADIANCE && header.encoding == Encoding::Packed;
     let level = if packed { ZSTD_LEVEL_PACKED } else { ZSTD_LEVEL };
-    let bytes = zstd::bulk::compress(&filtered, level).expect("zstd compresses into memory");
+    let frame = |bytes: &mut dyn Iterator<Item = u8>| -> std::io::Result<Vec<u8>> {
+        let mut encoder = zstd::Encoder::new(Vec::new(), level)?;
+        encoder.set_pledged_src_size(Some(raw.len() as u64))?;
+        let mut encoder = BufWriter::with_capacity(PIECE, encoder);
+        for byte in bytes {
+            encoder.write_all(&[byte])?;
+        }
+        encoder.into_inner()?.finish()
+    };
+    let (filter, bytes) = match header.element_size(id) {
+        Some(size) => (Filter::ByteShuffle, frame(&mut format::byte_shuffle(&raw, size))),
+        None => (Filter::None, frame(&mut raw.iter().copied())),
+    };
+    let bytes = bytes.expect("zstd compresses into memory");
     if bytes.len() < raw.len() { (Codec::Zstd, filter, bytes) } else { (Codec::Raw, Filter::None, raw) }
 }
 

@@ -2,7 +2,7 @@
 //! them.
 //!
 //! A cut's nodes are those of the volume where it has one; elsewhere they hold what the volume answers there. So a [tile](tiles()) says
-//! what the volume says, and a [coarser](coarser()) one what interpolation over wider cells leaves of that, with [walls] that are fitted
+//! what the volume says, and a [coarser](coarser()) one what interpolation over wider cells leaves of that, with walls that are fitted
 //! to the volume's light.
 
 mod tiles;

@@ -127,7 +127,7 @@ impl File {
             };
             let mut bytes = section.stored.clone();
             if element_size > 1 {
-                bytes = gdibl_runtime::format::byte_shuffle(&bytes, element_size);
+                bytes = gdibl_runtime::format::byte_shuffle(&bytes, element_size).collect();
                 section.filter = 1;
             }
             section.stored = zstd::encode_all(&bytes[..], 19).unwrap();

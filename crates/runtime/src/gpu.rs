@@ -168,14 +168,17 @@ impl Volume {
     /// The scale and the words of all nodes.
     fn half_coefficients(&self, bands: u32) -> (f32, Vec<u32>) {
         let (stride, count) = (self.header.values_per_node(), 3 * coefficient_count(bands));
-        let nodes = self.node_count();
         match &self.coefficients {
             Coefficients::F16(all) => {
-                let rows = all[..nodes * stride].chunks_exact(stride);
-                (self.scale, pairs(rows, count, |&bits| bits))
+                let mut words = Vec::with_capacity(self.node_count() * words_per_node(bands));
+                for row in all.chunks_exact(stride.div_ceil(2)) {
+                    words.extend_from_slice(&row[..count / 2]);
+                    words.extend(row[count / 2..].first().filter(|_| count % 2 == 1).map(|word| word & 0xffff));
+                }
+                (self.scale, words)
             }
             Coefficients::F32(all) => {
-                let rows = || all[..nodes * stride].chunks_exact(stride);
+                let rows = || all.chunks_exact(stride);
                 let largest = rows().flat_map(|row| &row[..count]).fold(0.0, |most: f32, value| most.max(value.abs()));
                 // A power of two 2¹⁴ below that of the largest: none comes near f16's own largest, 65504. Not below
                 // 2⁻¹⁰⁰, so that dividing by it overflows nothing.

@@ -126,36 +126,100 @@ impl Grid {
     }
 
     /// Nodes and weights of [`locate`](Grid::locate).
-    #[inline(always)]
+    #[inline]
     pub(crate) fn corners(&self, position: [f64; 3]) -> ([u32; 8], [f32; 8]) {
-        let (lower, share) = self.cell_at(position);
-        let index = |corner: usize| {
-            self.index_of(array::from_fn(|axis| {
-                lower[axis] + (corner as u32 >> axis & u32::from(self.counts[axis] > 1))
-            }))
-        };
-        (array::from_fn(index), trilinear(share))
+        Finder::new(self).corners(position)
     }
 
     /// The cell that holds a position, by its lowest node, and where in it the position is: 0 to 1 per axis.
+    #[inline]
+    pub(crate) fn cell_at(&self, position: [f64; 3]) -> ([u32; 3], [f32; 3]) {
+        Finder::new(self).cell_at(position)
+    }
+}
+
+/// What finding cells takes, of a grid: so that it takes no division.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Finder {
+    min: [f64; 3],
+    /// 0 on an axis with one node.
+    nodes_per_metre: [f64; 3],
+    /// A position in units of nodes is at most this: a hair below the last node, 0 where that is the first.
+    most: [f64; 3],
+    /// From a node to the next.
+    strides: [u32; 3],
+    /// The same, but 0 on an axis with one node.
+    steps: [u32; 3],
+}
+
+impl Finder {
+    pub(crate) fn new(grid: &Grid) -> Finder {
+        let last = grid.counts.map(|count| f64::from(count.max(1) - 1));
+        let strides = [1, grid.counts[0], grid.counts[0].wrapping_mul(grid.counts[1])];
+        Finder {
+            min: grid.min,
+            nodes_per_metre: array::from_fn(|axis| match last[axis] {
+                0.0 => 0.0,
+                last => last / (grid.max[axis] - grid.min[axis]),
+            }),
+            most: last.map(|last| last.next_down().max(0.0)),
+            strides,
+            steps: array::from_fn(|axis| if grid.counts[axis] > 1 { strides[axis] } else { 0 }),
+        }
+    }
+
+    /// See [`Grid::cell_at`].
     #[inline(always)]
     pub(crate) fn cell_at(&self, position: [f64; 3]) -> ([u32; 3], [f32; 3]) {
         let mut lower = [0; 3];
         let mut share = [0.0; 3];
         for axis in 0..3 {
-            let last = self.counts[axis].max(1) - 1;
-            if last == 0 {
-                continue;
-            }
-            // The position in units of nodes, 0 to last.
-            let extent = self.max[axis] - self.min[axis];
-            let mut place = (position[axis] - self.min[axis]) / extent * f64::from(last);
-            // `max` and `min` of a NaN give the other operand.
-            place = place.max(0.0).min(f64::from(last));
-            lower[axis] = (place as u32).min(last - 1);
+            // In units of nodes. `max` and `min` of a NaN give the other operand.
+            let place = (position[axis] - self.min[axis]) * self.nodes_per_metre[axis];
+            let place = place.max(0.0).min(self.most[axis]);
+            lower[axis] = place as u32;
             share[axis] = (place - f64::from(lower[axis])) as f32;
         }
         (lower, share)
+    }
+
+    /// The lowest node of the cell that holds a position, and where in it the position is.
+    #[inline(always)]
+    pub(crate) fn lowest(&self, position: [f64; 3]) -> (u32, [f32; 3]) {
+        let (lower, share) = self.cell_at(position);
+        let along = |axis: usize| lower[axis].wrapping_mul(self.strides[axis]);
+        (along(0).wrapping_add(along(1)).wrapping_add(along(2)), share)
+    }
+
+    /// Whether the next node in x is the next in memory everywhere in a cell.
+    #[inline(always)]
+    pub(crate) fn has_pairs(&self) -> bool {
+        self.steps[0] == 1
+    }
+
+    /// The corners of a cell on the lower side in x.
+    #[inline(always)]
+    pub(crate) fn pairs(&self, lowest: u32) -> [u32; 4] {
+        let [_, y, z] = self.steps;
+        let (above, behind) = (lowest.wrapping_add(y), lowest.wrapping_add(z));
+        [lowest, above, behind, above.wrapping_add(z)]
+    }
+
+    /// From the lowest corner of a cell to each, as in [`Cell::nodes`].
+    #[inline(always)]
+    pub(crate) fn corner_offsets(&self) -> [u32; 8] {
+        let [x, y, z] = self.steps;
+        let (xy, yz) = (x.wrapping_add(y), y.wrapping_add(z));
+        [0, x, y, xy, z, x.wrapping_add(z), yz, x.wrapping_add(yz)]
+    }
+
+    /// See [`Grid::corners`].
+    #[inline(always)]
+    pub(crate) fn corners(&self, position: [f64; 3]) -> ([u32; 8], [f32; 8]) {
+        let (first, share) = self.lowest(position);
+        let [a, b, c, d, e, f, g, h] = self.corner_offsets();
+        let node = |offset: u32| first.wrapping_add(offset);
+        ([node(a), node(b), node(c), node(d), node(e), node(f), node(g), node(h)], trilinear(share))
     }
 }
 

@@ -32,10 +32,10 @@
 use crate::RadianceSh;
 use crate::error::{Error, text};
 use crate::format::Header;
-use crate::half::f32_to_f16;
+use crate::half::{f16_is_finite, f32_to_f16};
 use crate::math::square_root;
 use crate::sh::{COSINE, MAX_COEFFICIENTS, band_of};
-use crate::volume::Coefficients;
+use crate::volume::{Coefficients, words_of};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -223,24 +223,29 @@ const BLOCK: usize = 64;
 /// f16 adds at most 2^-11 to the relative error. In volumes of more contrast, and where a number overflows all the same, f32.
 pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<(Coefficients, f32), Error> {
     let count = header.values_per_node() + 1;
-    // Node by node, and one more value at the end.
-    let count_of_values = header.node_count() * (count - 1) + 1;
     let (least, most) = range_of_codes(&bytes[..2 * header.node_count()])?;
     let exponent = (most - CODE_OF_1).div_euclid(PER_OCTAVE) + 1 - 11;
     let scale = f32::from_bits(((exponent + 127) as u32) << 23);
     if most - least <= 25 * PER_OCTAVE {
         let inverse = 1.0 / scale;
-        let mut values = vec![0; count_of_values];
-        let mut rows = values.chunks_exact_mut(count - 1);
+        let per_node = words_of(count - 1);
+        let mut words = vec![0; header.node_count() * per_node];
+        let mut rows = words.chunks_exact_mut(per_node);
+        let mut all_finite = true;
         restore(bytes, header, count, &mut |node_values| {
-            let row = rows.next().into_iter().flatten();
-            row.zip(node_values).for_each(|(bits, value)| *bits = f32_to_f16(value * inverse));
+            for (word, pair) in rows.next().into_iter().flatten().zip(node_values.chunks(2)) {
+                for (k, value) in pair.iter().enumerate() {
+                    let half = f32_to_f16(value * inverse);
+                    all_finite &= f16_is_finite(half);
+                    *word |= u32::from(half) << (16 * k);
+                }
+            }
         });
-        if values.iter().fold(true, |all, &bits| all & crate::half::f16_is_finite(bits)) {
-            return Ok((Coefficients::F16(values), scale));
+        if all_finite {
+            return Ok((Coefficients::F16(words), scale));
         }
     }
-    let mut values = vec![0.0; count_of_values];
+    let mut values = vec![0.0; header.node_count() * (count - 1)];
     let mut rows = values.chunks_exact_mut(count - 1);
     restore(bytes, header, count, &mut |node_values| {
         if let Some(row) = rows.next() {

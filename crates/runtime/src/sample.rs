@@ -15,14 +15,15 @@
 //! Every input has an answer: a coordinate that is no number counts as the box's min.
 
 use crate::bricks::Bricks;
-use crate::grid::box_contains;
-use crate::half::{f16_to_f32, plain_f16_to_scaled_f32};
+use crate::grid::{box_contains, trilinear};
+use crate::half::{f16_to_f32, upper_f16_to_scaled_f32};
 use crate::math::square_root;
 use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
-use crate::volume::{Coefficients, SUBNORMAL, VALID, WALLED};
+use crate::volume::{Coefficients, MIXED, SUBNORMAL, VALID, WALLED, half_of, words_of};
 use crate::{Grid, Kind, RadianceSh, Volume};
 use alloc::vec::Vec;
 use core::array;
+use core::hint::black_box;
 
 /// The share of the eight nodes' weights that must be valid for the others to be left out.
 pub const LEAST_VALID: f32 = 1e-6;
@@ -55,9 +56,8 @@ impl Volume {
             Kind::Grid | Kind::Sparse => {
                 let (nodes, weights, validity) = self.weights(position, normal);
                 let mut sh = RadianceSh::zero(self.header.bands);
-                self.blended(&nodes, &weights, |_, radiance| {
-                    sh.coefficients.as_flattened_mut()[..radiance.len()].copy_from_slice(radiance);
-                });
+                let count = self.header.values_per_node();
+                self.blend(&nodes, &weights, &mut sh.coefficients.as_flattened_mut()[..count]);
                 Sample { sh, validity, inside: box_contains(self.header.min, self.header.max, position) }
             }
             Kind::Points | Kind::Vertices => {
@@ -80,14 +80,86 @@ impl Volume {
     }
 
     /// The same for levels far from the origin.
-    pub fn irradiance_f64(&self, position: [f64; 3], normal: [f32; 3]) -> [f32; 3] {
-        match self.header.kind {
-            Kind::Grid | Kind::Sparse if cfg!(feature = "fast") => {
-                let (nodes, weights, _) = self.weights(position, normal);
-                self.blended(&nodes, &weights, |bands, radiance| irradiance(bands, radiance, normal))
+    #[inline]
+    pub fn irradiance_f64(&self, [x, y, z]: [f64; 3], [u, v, w]: [f32; 3]) -> [f32; 3] {
+        self.irradiance_at(x, y, z, u, v, w)
+    }
+
+    /// The same. Numbers come in registers; an array would come in memory, where reading two numbers at once stalls while they
+    /// have just been written one by one. One arm per number of bands, so that the compiler knows all lengths.
+    fn irradiance_at(&self, x: f64, y: f64, z: f64, u: f32, v: f32, w: f32) -> [f32; 3] {
+        match (self.header.kind, &self.coefficients, self.header.bands) {
+            (Kind::Points | Kind::Vertices, ..) | (_, Coefficients::F32(_), _) => {
+                self.irradiance_of_sample(x, y, z, u, v, w)
             }
-            _ => self.sample_f64(position, normal).sh.convolve().evaluate(normal),
+            _ if cfg!(not(feature = "fast")) => self.irradiance_of_sample(x, y, z, u, v, w),
+            (_, _, 0) => self.irradiance_of_halves::<2, 1>(x, y, z, u, v, w),
+            (_, _, 1) => self.irradiance_of_halves::<6, 3>(x, y, z, u, v, w),
+            (_, _, 2) => self.irradiance_of_halves::<14, 7>(x, y, z, u, v, w),
+            (_, _, 3) => self.irradiance_of_halves::<24, 12>(x, y, z, u, v, w),
+            _ => self.irradiance_of_halves::<38, 19>(x, y, z, u, v, w),
         }
+    }
+
+    /// Of whatever numbers, in whatever volume.
+    #[inline(never)]
+    fn irradiance_of_sample(&self, x: f64, y: f64, z: f64, u: f32, v: f32, w: f32) -> [f32; 3] {
+        self.sample_f64([x, y, z], [u, v, w]).sh.convolve().evaluate([u, v, w])
+    }
+
+    /// In a cell of a grid whose corners are all plain; elsewhere what takes longer. `W` words and `V` vectors are a node's values.
+    #[inline(never)]
+    fn irradiance_of_halves<const W: usize, const V: usize>(
+        &self,
+        x: f64,
+        y: f64,
+        z: f64,
+        u: f32,
+        v: f32,
+        w: f32,
+    ) -> [f32; 3] {
+        let Coefficients::F16(all) = &self.coefficients else {
+            return self.irradiance_of_sample(x, y, z, u, v, w);
+        };
+        if self.header.kind != Kind::Grid || !self.finder.has_pairs() {
+            return self.irradiance_of_mixed::<W, V>(x, y, z, u, v, w);
+        }
+        let position = match &self.walls {
+            None => [x, y, z],
+            Some(walls) => walls.off_surface([x, y, z], [u, v, w]),
+        };
+        let (lowest, share) = self.finder.lowest(position);
+        if self.marks.as_ref().is_some_and(|marks| marks[lowest as usize] & MIXED != 0) {
+            return self.irradiance_of_mixed::<W, V>(x, y, z, u, v, w);
+        }
+        let pairs = pairs_of::<W>(all, self.finder.pairs(lowest));
+        let factors = factors::<W, V>([u, v, w]);
+        irradiance(&blend_pairs(&pairs, &times_2_to_112(trilinear(share))), &factors, self.scale)
+    }
+
+    /// In any cell, also of a sparse grid.
+    #[inline(never)]
+    fn irradiance_of_mixed<const W: usize, const V: usize>(
+        &self,
+        x: f64,
+        y: f64,
+        z: f64,
+        u: f32,
+        v: f32,
+        w: f32,
+    ) -> [f32; 3] {
+        if let (Coefficients::F16(all), Kind::Grid | Kind::Sparse) = (&self.coefficients, self.header.kind) {
+            let (nodes, weights, _) = self.weights([x, y, z], [u, v, w]);
+            if !self.any_subnormal(&nodes) {
+                let rows = rows_of::<W>(all, &nodes);
+                return irradiance(
+                    &blend_plain(&rows, &times_2_to_112(weights)),
+                    &factors::<W, V>([u, v, w]),
+                    self.scale,
+                );
+            }
+        }
+        self.irradiance_of_sample(x, y, z, u, v, w)
     }
 
     /// The point or vertex that [`sample_f64`](Volume::sample_f64) answers with, however far it is; None in a grid, which
@@ -105,9 +177,11 @@ impl Volume {
         if let Some(bricks) = &self.bricks {
             return self.sparse_weights(bricks, position);
         }
-        let (nodes, mut weights) = self.header.grid().corners(position);
+        let (nodes, mut weights) = self.finder.corners(position);
         let mut validity = 1.0;
-        if let Some(marks) = &self.marks {
+        if let Some(marks) = &self.marks
+            && (cfg!(not(feature = "fast")) || marks[nodes[0] as usize] & MIXED != 0)
+        {
             let wall_cell = (marks[nodes[0] as usize] & WALLED != 0).then_some(nodes[0]);
             validity = self.mark_weights(marks, position, &nodes, &mut weights, wall_cell);
         }
@@ -169,42 +243,39 @@ impl Volume {
         (sum >= LEAST_VALID).then(|| seen.map(|weight| weight / sum))
     }
 
-    /// What `then(bands, values)` makes of the weighted sum of the values of eight nodes. One arm per number of bands, so that
-    /// the compiler knows all lengths.
-    #[inline(always)]
-    fn blended<R>(&self, nodes: &[u32; 8], weights: &[f32; 8], then: impl FnOnce(u32, &[f32]) -> R) -> R {
-        if cfg!(not(feature = "fast")) {
-            let mut sum = [0.0; 3 * MAX_COEFFICIENTS];
-            self.blend_any(nodes, weights, &mut sum);
-            return then(self.header.bands, &sum);
-        }
-        match self.header.bands {
-            0 => then(0, &self.blend::<4>(nodes, weights)[..3]),
-            1 => then(1, &self.blend::<12>(nodes, weights)),
-            2 => then(2, &self.blend::<28>(nodes, weights)[..27]),
-            3 => then(3, &self.blend::<48>(nodes, weights)),
-            _ => then(4, &self.blend::<76>(nodes, weights)[..75]),
+    /// The weighted sum of the values of eight nodes.
+    fn blend(&self, nodes: &[u32; 8], weights: &[f32; 8], sum: &mut [f32]) {
+        match &self.coefficients {
+            Coefficients::F16(all) if cfg!(feature = "fast") && !self.any_subnormal(nodes) => match self.header.bands {
+                0 => self.blend_halves::<2, 1>(all, nodes, weights, sum),
+                1 => self.blend_halves::<6, 3>(all, nodes, weights, sum),
+                2 => self.blend_halves::<14, 7>(all, nodes, weights, sum),
+                3 => self.blend_halves::<24, 12>(all, nodes, weights, sum),
+                _ => self.blend_halves::<38, 19>(all, nodes, weights, sum),
+            },
+            _ => self.blend_any(nodes, weights, sum),
         }
     }
 
-    /// The weighted sum of the values of eight nodes.
-    ///
-    /// `N` is the number of values per node, and one more where that is odd: so rows are read in whole vectors of four.
-    /// The one more is of no meaning.
-    #[inline(never)]
-    fn blend<const N: usize>(&self, nodes: &[u32; 8], weights: &[f32; 8]) -> [f32; N] {
-        let count = N / 3 * 3;
-        match &self.coefficients {
-            Coefficients::F16(all) if !self.any_subnormal(nodes) => {
-                const TWO_TO_112: f32 = f32::from_bits((112 + 127) << 23);
-                let rows = nodes.map(|node| all[node as usize * count..].first_chunk().expect("one value at the end"));
-                blend_plain(rows, weights.map(|weight| weight * TWO_TO_112), self.scale)
+    /// The same of f16 that are all zero or normal.
+    fn blend_halves<const W: usize, const V: usize>(
+        &self,
+        all: &[u32],
+        nodes: &[u32; 8],
+        weights: &[f32; 8],
+        sum: &mut [f32],
+    ) {
+        let vectors: [[f32; 4]; V] = blend_plain(&rows_of::<W>(all, nodes), &times_2_to_112(*weights));
+        let (pairs, last) = vectors.as_chunks::<2>();
+        let (eights, rest) = sum.split_at_mut(8 * pairs.len());
+        for (out, [even, odd]) in eights.as_chunks_mut::<8>().0.iter_mut().zip(pairs) {
+            for lane in 0..4 {
+                out[2 * lane] = even[lane] * self.scale;
+                out[2 * lane + 1] = odd[lane] * self.scale;
             }
-            _ => {
-                let mut sum = [0.0; N];
-                self.blend_any(nodes, weights, &mut sum);
-                sum
-            }
+        }
+        for (k, out) in rest.iter_mut().enumerate() {
+            *out = last[0][[0, 2, 1, 3][k]] * self.scale;
         }
     }
 
@@ -213,15 +284,12 @@ impl Volume {
     fn blend_any(&self, nodes: &[u32; 8], weights: &[f32; 8], sum: &mut [f32]) {
         let count = self.header.values_per_node();
         for (&node, weight) in nodes.iter().zip(weights) {
-            let row = node as usize * count..(node as usize + 1) * count;
-            match &self.coefficients {
-                Coefficients::F16(all) => {
-                    let values = all[row].iter().map(|&bits| f16_to_f32(bits) * self.scale);
-                    sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
-                }
-                Coefficients::F32(all) => {
-                    sum.iter_mut().zip(&all[row]).for_each(|(sum, value)| *sum += weight * value);
-                }
+            let value = |k: usize| match &self.coefficients {
+                Coefficients::F16(all) => f16_to_f32(half_of(&all[node as usize * words_of(count)..], k)) * self.scale,
+                Coefficients::F32(all) => all[node as usize * count + k],
+            };
+            for (k, sum) in sum[..count].iter_mut().enumerate() {
+                *sum += weight * value(k);
             }
         }
     }
@@ -262,33 +330,142 @@ impl Volume {
     }
 }
 
-/// The weighted sum of rows of f16 that are all zero or normal, times `scale`.
+/// The words of eight nodes.
 #[inline(always)]
-fn blend_plain<const N: usize>(rows: [&[u16; N]; 8], weights: [f32; 8], scale: f32) -> [f32; N] {
-    let mut out = [0.0; N];
-    for (k, out) in out.as_chunks_mut::<4>().0.iter_mut().enumerate() {
-        let mut sum = [0.0; 4];
-        for (row, weight) in rows.iter().zip(weights) {
-            for (lane, sum) in sum.iter_mut().enumerate() {
-                *sum += weight * plain_f16_to_scaled_f32(row[4 * k + lane]);
-            }
-        }
-        *out = sum.map(|value| value * scale);
-    }
-    out
+fn rows_of<'a, const W: usize>(all: &'a [u32], nodes: &[u32; 8]) -> [&'a [u32; W]; 8] {
+    let rows = all.as_chunks::<W>().0;
+    let row = |k: usize| &rows[nodes[k] as usize];
+    let rows = [row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)];
+    touch(rows.iter().fold(0, |all, row| all ^ row[0] ^ row[W - 1]));
+    rows
 }
 
-/// `convolve().evaluate(normal)` of radiance, RGB per coefficient.
+/// The words of four nodes, and of those that follow them.
 #[inline(always)]
-fn irradiance(bands: u32, radiance: &[f32], normal: [f32; 3]) -> [f32; 3] {
-    let mut factors = [0.0; MAX_COEFFICIENTS];
-    basis(bands, normal, &mut factors);
-    let mut sum = [0.0; 3];
-    for (index, value) in radiance.as_chunks::<3>().0.iter().enumerate() {
-        let factor = COSINE_OF[index] * factors[index];
-        for c in 0..3 {
-            sum[c] += value[c] * factor;
+fn pairs_of<const W: usize>(all: &[u32], nodes: [u32; 4]) -> [&[[u32; W]; 2]; 4] {
+    let rows = all.as_chunks::<W>().0;
+    let pair = |k: usize| rows[nodes[k] as usize..nodes[k] as usize + 2].first_chunk().expect("two");
+    let pairs = [pair(0), pair(1), pair(2), pair(3)];
+    touch(pairs.iter().fold(0, |all, [a, b]| all ^ a[0] ^ a[W - 1] ^ b[W - 1]));
+    pairs
+}
+
+/// Takes what has been read at the ends of rows, so that it is read: then all rows come from memory at once. Left to the arithmetic, the
+/// first rows' fills the processor's window before it sees that others are needed: at random places that took half as long again.
+#[inline(always)]
+fn touch(word: u32) {
+    black_box(word);
+}
+
+/// The weighted sum of rows of f16 that are all zero or normal, two to a word, in vectors of four:
+/// ```text
+/// of four words          values 0 2 4 6, then 1 3 5 7
+/// of two, at the end     values 0 2 1 3
+/// ```
+/// The weights come [`times_2_to_112`].
+#[inline(never)]
+fn blend_plain<const W: usize, const V: usize>(rows: &[&[u32; W]; 8], weights: &[f32; 8]) -> [[f32; 4]; V] {
+    let mut sums = [[0.0; 4]; V];
+    for (row, weight) in rows.iter().zip(weights) {
+        add_row(&mut sums, row, *weight);
+    }
+    sums
+}
+
+/// The same of pairs of rows. (Not inlined, as above: where a compiler sees what becomes of the sums, it takes the vectors apart.)
+#[inline(never)]
+fn blend_pairs<const W: usize, const V: usize>(pairs: &[&[[u32; W]; 2]; 4], weights: &[f32; 8]) -> [[f32; 4]; V] {
+    let mut sums = [[0.0; 4]; V];
+    for ([a, b], [p, q]) in pairs.iter().zip(weights.as_chunks::<2>().0) {
+        add_row(&mut sums, a, *p);
+        add_row(&mut sums, b, *q);
+    }
+    sums
+}
+
+/// See [`upper_f16_to_scaled_f32`].
+#[inline(always)]
+fn times_2_to_112(mut weights: [f32; 8]) -> [f32; 8] {
+    const TWO_TO_112: f32 = f32::from_bits((112 + 127) << 23);
+    weights.iter_mut().for_each(|weight| *weight *= TWO_TO_112);
+    weights
+}
+
+#[inline(always)]
+fn add_row<const W: usize, const V: usize>(sums: &mut [[f32; 4]; V], row: &[u32; W], weight: f32) {
+    let (fours, rest) = row.as_chunks::<4>();
+    let (pairs, last) = sums.as_chunks_mut::<2>();
+    for (words, [even, odd]) in fours.iter().zip(pairs) {
+        for lane in 0..4 {
+            even[lane] += weight * upper_f16_to_scaled_f32(words[lane] << 16);
+            odd[lane] += weight * upper_f16_to_scaled_f32(words[lane]);
         }
     }
-    sum
+    if let ([a, b], [last]) = (rest, last) {
+        let words = [a << 16, b << 16, *a, *b];
+        for lane in 0..4 {
+            last[lane] += weight * upper_f16_to_scaled_f32(words[lane]);
+        }
+    }
+}
+
+/// What the values in [`blend_plain`]'s vectors are multiplied by in `convolve().evaluate(normal)`.
+#[inline(always)]
+fn factors<const W: usize, const V: usize>(normal: [f32; 3]) -> [[f32; 4]; V] {
+    let count = 2 * W / 3;
+    let mut f = [0.0; MAX_COEFFICIENTS];
+    basis(count.isqrt() as u32 - 1, normal, &mut f);
+    for k in 0..count {
+        f[k] *= COSINE_OF[k];
+    }
+    let mut factors = [[0.0; 4]; V];
+    let (sixes, rest) = factors.as_chunks_mut::<6>();
+    for (six, f) in sixes.iter_mut().zip(f.as_chunks::<8>().0) {
+        // Vectors from here on; otherwise compilers make each of the factors a number of its own.
+        let (low, high) = (black_box([f[0], f[1], f[2], f[3]]), black_box([f[4], f[5], f[6], f[7]]));
+        let f = &[low[0], low[1], low[2], low[3], high[0], high[1], high[2], high[3]];
+        six[0] = pick(f, [0, 0, 1, 2]);
+        six[1] = pick(f, [0, 1, 1, 2]);
+        six[2] = pick(f, [2, 3, 4, 4]);
+        six[3] = pick(f, [3, 3, 4, 5]);
+        six[4] = pick(f, [5, 6, 6, 7]);
+        six[5] = pick(f, [5, 6, 7, 7]);
+    }
+    let f = &f[V / 6 * 8..];
+    match rest {
+        // One coefficient, and nothing.
+        [last] => *last = [f[0], f[0], f[0], 0.0],
+        // Four.
+        [even, odd, last] => {
+            let f: &[f32; 4] = f.first_chunk().expect("four coefficients");
+            *even = pick(f, [0, 0, 1, 2]);
+            *odd = pick(f, [0, 1, 1, 2]);
+            *last = pick(f, [2, 3, 3, 3]);
+        }
+        _ => {}
+    }
+    factors
+}
+
+/// `convolve().evaluate(normal)` of radiance as [`blend_plain`] makes it, times `scale`.
+#[inline(always)]
+fn irradiance<const V: usize>(radiance: &[[f32; 4]; V], factors: &[[f32; 4]; V], scale: f32) -> [f32; 3] {
+    // Lanes of one vector after the other are: r b g r, g r b g, b g r b, and again.
+    let mut sums = [[0.0; 4]; 3];
+    for (k, (radiance, factors)) in radiance.iter().zip(factors).enumerate() {
+        for lane in 0..4 {
+            sums[k % 3][lane] += radiance[lane] * factors[lane];
+        }
+    }
+    let (a, b, c) = (black_box(sums[0]), black_box(sums[1]), black_box(sums[2]));
+    [
+        scale * ((a[0] + a[3]) + (b[1] + c[2])),
+        scale * ((a[2] + b[0]) + (b[3] + c[1])),
+        scale * ((a[1] + b[2]) + (c[0] + c[3])),
+    ]
+}
+
+#[inline(always)]
+fn pick<const N: usize>(f: &[f32; N], [a, b, c, d]: [usize; 4]) -> [f32; 4] {
+    [f[a], f[b], f[c], f[d]]
 }

@@ -2,7 +2,8 @@
 //!
 //! A file holds coefficients in planes (all nodes' first value, then all nodes' second, …), which compress well. A
 //! sample wants all values of few nodes, so that parsing turns the planes round: here every node's values lie
-//! together, coefficient by coefficient, red green blue. They stay 16-bit where the file's are; packed ones become that, too.
+//! together, coefficient by coefficient, red green blue. They stay 16-bit where the file's are, two to a word; packed ones become
+//! that, too.
 
 use crate::bricks::Bricks;
 use crate::error::text;
@@ -10,6 +11,7 @@ use crate::format::{
     self, BRICKS, COVERAGE, Directory, Encoding, Header, Kind, Limits, MESHES, NORMALS, POSITIONS, RADIANCE,
     STANDARD_ERROR, VALIDITY, WALLS,
 };
+use crate::grid::Finder;
 use crate::half::{f16_is_finite, f16_is_subnormal, f16_to_f32};
 use crate::nearest::NearestIndex;
 use crate::walls::{Plane, WallCell, Walls};
@@ -23,6 +25,7 @@ use core::ops::Range;
 #[derive(Clone, Debug)]
 pub struct Volume {
     pub(crate) header: Header,
+    pub(crate) finder: Finder,
     pub(crate) coefficients: Coefficients,
     /// Coefficient = number × scale.
     pub(crate) scale: f32,
@@ -48,13 +51,35 @@ pub(crate) const VALID: u8 = 1;
 pub(crate) const SUBNORMAL: u8 = 2;
 /// A node's mark: walls go through the cell of which it is the lowest corner. Not in a sparse grid, where that may be no node.
 pub(crate) const WALLED: u8 = 4;
+/// A node's mark: of the cell of which it is the lowest corner some corner is not [`VALID`], or is [`SUBNORMAL`], or it is
+/// [`WALLED`]. Not in a sparse grid. One mark to look at, where there are eight, in four places far apart. With the feature `fast` alone.
+pub(crate) const MIXED: u8 = 8;
 
-/// Node by node, `Header::values_per_node` each; one zero at the end, so that a row of an odd number of values can be read
-/// as if it had one more.
+/// Node by node.
 #[derive(Clone, Debug)]
 pub(crate) enum Coefficients {
-    F16(Vec<u16>),
+    /// [`words_of`] each, the first value in the lower half; a zero after an odd number of values. (In words, for what
+    /// compilers make of reading 16-bit numbers is slow.)
+    F16(Vec<u32>),
+    /// `Header::values_per_node` each.
     F32(Vec<f32>),
+}
+
+/// How many words so many values take.
+pub(crate) fn words_of(values: usize) -> usize {
+    values.div_ceil(2)
+}
+
+/// 16-bit value `k` of a node's words.
+#[inline(always)]
+pub(crate) fn half_of(words: &[u32], k: usize) -> u16 {
+    (words[k / 2] >> (16 * (k % 2))) as u16
+}
+
+/// Whether one of a word's two values is so.
+#[inline(always)]
+fn either(word: u32, is_so: impl Fn(u16) -> bool) -> bool {
+    is_so(word as u16) | is_so((word >> 16) as u16)
 }
 
 /// Which nodes are the vertices of which part of the level.
@@ -84,6 +109,7 @@ impl Volume {
         directory.check_contents(limits)?;
         let mut volume = Volume {
             header: directory.header,
+            finder: Finder::new(&directory.header.grid()),
             coefficients: Coefficients::F16(Vec::new()),
             scale: 1.0,
             marks: None,
@@ -108,8 +134,11 @@ impl Volume {
         self.bricks = sections.bricks()?;
         self.walls = sections.walls(self.bricks.as_ref())?;
         self.marks = marks(sections.validity()?, &self.coefficients, &self.header);
+        if let Some(marks) = self.marks.as_mut().filter(|_| cfg!(feature = "fast") && self.header.kind == Kind::Grid) {
+            mark_mixed_cells(marks, &self.finder);
+        }
         for cell in self.walls.iter().filter(|_| self.bricks.is_none()).flat_map(Walls::cells) {
-            self.marks.get_or_insert_with(|| vec![VALID; self.header.node_count()])[cell as usize] |= WALLED;
+            self.marks.get_or_insert_with(|| vec![VALID; self.header.node_count()])[cell as usize] |= WALLED | MIXED;
         }
         self.positions = sections.vectors(POSITIONS)?;
         self.coverage = sections.fractions(COVERAGE, 1.0)?;
@@ -139,12 +168,12 @@ impl Volume {
         let mut sh = RadianceSh::zero(self.header.bands);
         let values = sh.coefficients.as_flattened_mut();
         let count = self.header.values_per_node();
-        let range = node * count..(node + 1) * count;
         match &self.coefficients {
-            Coefficients::F32(all) => values[..count].copy_from_slice(&all[range]),
+            Coefficients::F32(all) => values[..count].copy_from_slice(&all[node * count..(node + 1) * count]),
             Coefficients::F16(all) => {
-                for (value, &bits) in values.iter_mut().zip(&all[range]) {
-                    *value = f16_to_f32(bits) * self.scale;
+                let words = &all[node * words_of(count)..];
+                for (k, value) in values[..count].iter_mut().enumerate() {
+                    *value = f16_to_f32(half_of(words, k)) * self.scale;
                 }
             }
         }
@@ -287,12 +316,17 @@ impl Sections<'_> {
         let (nodes, planes) = (header.node_count(), header.values_per_node());
         let (coefficients, odd) = match header.encoding {
             Encoding::F16 => {
-                let values = interleave(&bytes, nodes, planes, u16::from_le_bytes);
-                let odd = position(&values, |bits| !f16_is_finite(bits));
-                (Coefficients::F16(values), odd)
+                let words = interleave_halves(&bytes, nodes, planes);
+                let per_node = words_of(planes);
+                let is_odd = |bits| !f16_is_finite(bits);
+                let odd = position(&words, |word| either(word, is_odd)).map(|place| {
+                    let in_upper = usize::from(!is_odd(words[place] as u16));
+                    place / per_node * planes + 2 * (place % per_node) + in_upper
+                });
+                (Coefficients::F16(words), odd)
             }
             Encoding::F32 => {
-                let values = interleave(&bytes, nodes, planes, f32::from_le_bytes);
+                let values = interleave(&bytes, nodes, planes);
                 let odd = position(&values, |value| !value.is_finite());
                 (Coefficients::F32(values), odd)
             }
@@ -413,15 +447,16 @@ fn position<T: Copy>(values: &[T], odd: impl Fn(T) -> bool) -> Option<usize> {
 fn marks(validity: Option<Vec<u8>>, coefficients: &Coefficients, header: &Header) -> Option<Vec<u8>> {
     let mut marks = validity;
     if let Coefficients::F16(all) = coefficients {
-        let (nodes, planes) = (header.node_count(), header.values_per_node());
-        for (block, rows) in all[..nodes * planes].chunks(BLOCK * planes).enumerate() {
+        let per_node = words_of(header.values_per_node());
+        let is_subnormal = |any, &word: &u32| any | either(word, f16_is_subnormal);
+        for (block, rows) in all.chunks(BLOCK * per_node).enumerate() {
             // Without a branch over many, for there are hardly any.
-            if !rows.iter().fold(false, |any, &bits| any | f16_is_subnormal(bits)) {
+            if !rows.iter().fold(false, is_subnormal) {
                 continue;
             }
-            for (place, row) in rows.chunks(planes).enumerate() {
-                if row.iter().any(|&bits| f16_is_subnormal(bits)) {
-                    marks.get_or_insert_with(|| vec![VALID; nodes])[block * BLOCK + place] |= SUBNORMAL;
+            for (place, row) in rows.chunks(per_node).enumerate() {
+                if row.iter().fold(false, is_subnormal) {
+                    marks.get_or_insert_with(|| vec![VALID; header.node_count()])[block * BLOCK + place] |= SUBNORMAL;
                 }
             }
         }
@@ -429,41 +464,66 @@ fn marks(validity: Option<Vec<u8>>, coefficients: &Coefficients, header: &Header
     marks
 }
 
+/// Marks the cells around nodes that are not valid, or subnormal, as [`MIXED`].
+fn mark_mixed_cells(marks: &mut [u8], finder: &Finder) {
+    for node in 0..marks.len() {
+        if marks[node] & !MIXED != VALID {
+            // Where there is no such cell that node is the lowest of none: what is marked there has no meaning.
+            for offset in finder.corner_offsets() {
+                if let Some(mark) = marks.get_mut(node.wrapping_sub(offset as usize)) {
+                    *mark |= MIXED;
+                }
+            }
+        }
+    }
+}
+
 /// Nodes that are turned round together: 64 of 75 values of 4 bytes are 19 KB.
 const BLOCK: usize = 64;
 
-/// From planes of `nodes` elements of N bytes to `planes` values per node.
+/// From planes of `nodes` 32-bit floats to `planes` values per node.
 ///
 /// Node by node would touch as many cache lines as there are planes for each; plane by plane as many as there are
 /// nodes. In blocks of nodes, what is written stays in the first-level cache and what is read comes in whole lines.
-fn interleave<T: Copy + Default, const N: usize>(
-    bytes: &[u8],
-    nodes: usize,
-    planes: usize,
-    decode: impl Fn([u8; N]) -> T,
-) -> Vec<T> {
-    let elements = bytes.as_chunks::<N>().0;
-    let mut values = vec![T::default(); nodes * planes + 1];
-    for (block, rows) in values[..nodes * planes].chunks_mut(BLOCK * planes).enumerate() {
-        let first = block * BLOCK;
-        let count = rows.len() / planes;
-        let column = |plane: usize| &elements[plane * nodes + first..plane * nodes + first + count];
-        // Four planes at a time: as many reads, a quarter of the writes.
-        let mut plane = 0;
-        while cfg!(feature = "fast") && plane + 4 <= planes {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|k| column(plane + k));
-            for ((((row, &a), &b), &c), &d) in rows.chunks_exact_mut(planes).zip(a).zip(b).zip(c).zip(d) {
-                row[plane..plane + 4].copy_from_slice(&[a, b, c, d].map(&decode));
-            }
-            plane += 4;
-        }
-        for plane in plane..planes {
-            for (row, &element) in rows.chunks_exact_mut(planes).zip(column(plane)) {
-                row[plane] = decode(element);
+fn interleave(bytes: &[u8], nodes: usize, planes: usize) -> Vec<f32> {
+    let elements = bytes.as_chunks::<4>().0;
+    let mut values = vec![0.0; nodes * planes];
+    for (block, rows) in values.chunks_mut(BLOCK * planes).enumerate() {
+        for plane in 0..planes {
+            let column = &elements[plane * nodes + block * BLOCK..];
+            for (row, &element) in rows.chunks_exact_mut(planes).zip(column) {
+                row[plane] = f32::from_le_bytes(element);
             }
         }
     }
     values
+}
+
+/// The same of 16-bit floats, to [`words_of`].
+fn interleave_halves(bytes: &[u8], nodes: usize, planes: usize) -> Vec<u32> {
+    let elements = bytes.as_chunks::<2>().0;
+    let per_node = words_of(planes);
+    let mut words = vec![0; nodes * per_node];
+    let word = |&[a, b]: &[u8; 2], &[c, d]: &[u8; 2]| u32::from_le_bytes([a, b, c, d]);
+    for (block, rows) in words.chunks_mut(BLOCK * per_node).enumerate() {
+        let count = rows.len() / per_node;
+        let column = |plane: usize| &elements[plane * nodes + block * BLOCK..][..count];
+        // Four planes at a time: as many reads, a quarter of the writes.
+        let mut plane = 0;
+        while cfg!(feature = "fast") && plane + 4 <= planes {
+            let [a, b, c, d] = [column(plane), column(plane + 1), column(plane + 2), column(plane + 3)];
+            for ((((row, a), b), c), d) in rows.chunks_exact_mut(per_node).zip(a).zip(b).zip(c).zip(d) {
+                row[plane / 2..plane / 2 + 2].copy_from_slice(&[word(a, b), word(c, d)]);
+            }
+            plane += 4;
+        }
+        for plane in plane..planes {
+            for (row, &element) in rows.chunks_exact_mut(per_node).zip(column(plane)) {
+                row[plane / 2] |= u32::from(u16::from_le_bytes(element)) << (16 * (plane % 2));
+            }
+        }
+    }
+    words
 }
 
 #[cfg(test)]
@@ -475,16 +535,23 @@ mod tests {
         for nodes in [1, 3, 63, 64, 65, 200] {
             for planes in [3, 12, 27] {
                 let value = |plane: usize, node: usize| (plane * 1000 + node) as u16;
-                let mut bytes = Vec::new();
+                let (mut halves, mut floats) = (Vec::new(), Vec::new());
                 for plane in 0..planes {
                     for node in 0..nodes {
-                        bytes.extend_from_slice(&value(plane, node).to_le_bytes());
+                        halves.extend_from_slice(&value(plane, node).to_le_bytes());
+                        floats.extend_from_slice(&f32::from(value(plane, node)).to_le_bytes());
                     }
                 }
-                let values = interleave(&bytes, nodes, planes, u16::from_le_bytes);
-                assert_eq!(values.len(), nodes * planes + 1);
-                for (place, &found) in values[..nodes * planes].iter().enumerate() {
-                    assert_eq!(found, value(place % planes, place / planes));
+                let words = interleave_halves(&halves, nodes, planes);
+                let values = interleave(&floats, nodes, planes);
+                let per_node = words_of(planes);
+                assert_eq!((words.len(), values.len()), (nodes * per_node, nodes * planes));
+                for node in 0..nodes {
+                    for plane in 0..planes {
+                        assert_eq!(half_of(&words[node * per_node..], plane), value(plane, node));
+                        assert_eq!(values[node * planes + plane], f32::from(value(plane, node)));
+                    }
+                    assert!(planes % 2 == 0 || half_of(&words[node * per_node..], planes) == 0);
                 }
             }
         }

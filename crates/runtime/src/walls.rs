@@ -148,6 +148,7 @@ impl Walls {
     }
 
     /// A position on a surface, on the side that it faces.
+    #[inline(always)]
     pub fn off_surface(&self, position: [f64; 3], normal: [f32; 3]) -> [f64; 3] {
         // What is no unit vector moves nothing.
         let along = |k: usize| if normal[k].abs() < 1.5 { normal[k] } else { 0.0 };

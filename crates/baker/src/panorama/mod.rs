@@ -157,7 +157,7 @@ impl Panorama {
         // Scaled by the largest component, so that neither 1e-30 nor 1e30 leaves the range of f32.
         let largest = direction.abs().max_element();
         let d = if largest > 0.0 && direction.is_finite() { direction / largest } else { Vec3::ZERO };
-        let horizontal = d.x.hypot(d.z);
+        let horizontal = (d.x * d.x + d.z * d.z).sqrt();
         let longitude = if horizontal > 0.0 { d.x.atan2(d.z) } else { 0.0 };
         let latitude = d.y.atan2(horizontal);
         let u = 0.5 - longitude * (0.5 * std::f32::consts::FRAC_1_PI);
@@ -205,7 +205,7 @@ impl Panorama {
     pub fn radiance_escaping(&self, direction: Vec3) -> Option<Vec3> {
         let Some(distance) = &self.distance else { return Some(self.radiance(direction)) };
         let taps = self.taps(direction);
-        self.mean_of(&taps, taps.map(|tap| distance[tap.index] == f32::INFINITY))
+        self.mean_of(&taps, |i| distance[taps[i].index] == f32::INFINITY)
     }
 
     /// Radiance of a surface point that this panorama sees along the unit `direction`, `distance` metres away, where
@@ -224,19 +224,20 @@ impl Panorama {
         let taps = self.taps(direction);
         let along = distance * normal.dot(direction);
         // How far each pixel is from having seen the surface; infinity for a pixel that escapes.
-        let error = taps.map(|tap| {
+        let mut error = [f32::INFINITY; 4];
+        for (error, tap) in error.iter_mut().zip(&taps) {
             let seen = distances[tap.index];
             if seen == f32::INFINITY {
-                return f32::INFINITY;
+                continue;
             }
             let expected = along / normal.dot(self.pixel_direction(tap.x, tap.y));
             // At a grazing angle a neighbour's ray may miss the plane: then only the distances themselves compare.
             let reference = if expected > 0.0 && expected.is_finite() { expected } else { distance };
-            let error = (seen / reference - 1.0).abs();
+            let off = (seen / reference - 1.0).abs();
             // A reference of zero, or NaN from the caller, still has to leave an order; f32::MAX is "worst".
-            if error.is_finite() { error } else { f32::MAX }
-        });
-        if let Some(mean) = self.mean_of(&taps, error.map(|e| e < tolerance)) {
+            *error = if off.is_finite() { off } else { f32::MAX };
+        }
+        if let Some(mean) = self.mean_of(&taps, |i| error[i] < tolerance) {
             return Some(mean);
         }
         let closest = (0..4).filter(|&i| error[i] < f32::INFINITY).min_by(|&a, &b| {
@@ -251,10 +252,11 @@ impl Panorama {
     }
 
     /// Weighted mean over the taps that count, their weights renormalised; `None` if none counts.
-    fn mean_of(&self, taps: &[Tap; 4], counts: [bool; 4]) -> Option<Vec3> {
+    #[inline(always)]
+    fn mean_of(&self, taps: &[Tap; 4], counts: impl Fn(usize) -> bool) -> Option<Vec3> {
         let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
         let (mut plain_sum, mut plain_count) = (Vec3::ZERO, 0.0);
-        for (tap, _) in taps.iter().zip(counts).filter(|(_, counts)| *counts) {
+        for (_, tap) in taps.iter().enumerate().filter(|(i, _)| counts(*i)) {
             let radiance = self.tap_radiance(tap);
             sum += tap.weight * radiance;
             weight += tap.weight;

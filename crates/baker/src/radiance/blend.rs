@@ -55,6 +55,17 @@ impl BlendRule {
         }
     }
 
+    /// Between what a probe's merit lies, least first, on points of a plane that are `distances` (the least, the greatest) from
+    /// it, if it stands `height` over the plane.
+    pub fn merit_bounds(&self, pixels: f32, height: f32, distances: [f32; 2]) -> [f32; 2] {
+        if !self.is_seamless() {
+            return [0.0, f32::INFINITY];
+        }
+        let [most, least] =
+            distances.map(|distance| self.merit(&View { distance, cosine: height / distance, angle: 0.0, pixels }));
+        [least, most]
+    }
+
     /// Weights depend on the surface point alone, not on where the node stands: its radiance is the same for all nodes.
     pub fn is_seamless(&self) -> bool {
         matches!(self, BlendRule::Distance(_) | BlendRule::Footprint(_))
@@ -71,15 +82,15 @@ impl BlendRule {
         }
     }
 
-    /// The weight of a probe of merit `merit` as a share of that of the best, 0..=1. Below [`NEGLIGIBLE`] it
-    /// changes nothing in f32. Not for `angular-smooth`, whose weights depend on a third probe.
+    /// The weight of a probe of merit `merit` as a share of that of the best, 0..=1; 0 below half of [`FAINT`]. Not for
+    /// `angular-smooth`, whose weights depend on a third probe.
     pub fn ratio(&self, merit: f32, best: f32) -> f32 {
         let power = match *self {
             BlendRule::Distance(k) | BlendRule::Angular(k) | BlendRule::Footprint(k) => k,
             BlendRule::AngularSmooth(_) | BlendRule::Nearest => return 1.0,
         };
         // Equal first: that covers two infinite merits (zero angles) and two zero ones.
-        if merit == best { 1.0 } else { (merit / best).powf(power) }
+        if merit == best { 1.0 } else { fade((merit / best).powf(power)) }
     }
 
     /// Weights ≥ 0, at least one of them positive, of probes given by merit, best first. `merits` must have at
@@ -109,8 +120,15 @@ impl BlendRule {
     }
 }
 
-/// A weight under this share of the best one is lost in the rounding of f32.
-pub const NEGLIGIBLE: f32 = 1.0 / (1u32 << 26) as f32;
+/// Weights under this share of the best one fade, to nothing at half of it: light stays continuous, and probes that would
+/// change it by less than noise need no line of sight. What n probes lose that way is less than n × FAINT of the whole, and
+/// changes radiance by at most that share of what probes differ by. By 60 probes E in the box changed by 0.0017 %, and by
+/// 0.0052 % at 4e-3, which saved no more than a twentieth of the time; most had had no weight to speak of before.
+pub const FAINT: f32 = 1e-3;
+
+fn fade(weight: f32) -> f32 {
+    weight * (2.0 * weight / FAINT - 1.0).clamp(0.0, 1.0)
+}
 
 impl std::fmt::Display for BlendRule {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -234,6 +252,45 @@ mod tests {
         }
         for bad in ["", "foot", "footprint:x", "footprint:-1", "footprint:inf", "nearest:2"] {
             assert!(bad.parse::<BlendRule>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn faint_probes_change_light_by_less_than_their_bound_and_without_a_step() {
+        // One black probe near, 63 that see white recede from it: the worst contrast there is.
+        let rule = BlendRule::Footprint(4.0);
+        let light = |weights: &[f64]| weights[1..].iter().sum::<f64>() / weights.iter().sum::<f64>();
+        let mut before: Option<f64> = None;
+        let (mut most, mut least_faded) = (0.0f64, usize::MAX);
+        for step in 0..20_000 {
+            let distance = 1.0 + f64::from(step) * 2e-4;
+            let views: Vec<View> = (0..64)
+                .map(|i| at(if i == 0 { 1.0 } else { (distance * (1.0 + 0.01 * f64::from(i))) as f32 }, 0.5, 0.0))
+                .collect();
+            let merits: Vec<f32> = views.iter().map(|view| rule.merit(view)).collect();
+            let mut faded = Vec::new();
+            rule.weights(&merits, &mut faded);
+            let whole: Vec<f64> = merits.iter().map(|m| f64::from(m / merits[0]).powi(4)).collect();
+            let faded: Vec<f64> = faded.iter().map(|w| f64::from(*w)).collect();
+            let (shown, full) = (light(&faded), light(&whole));
+            most = most.max((shown - full).abs());
+            least_faded = least_faded.min(faded.iter().filter(|w| **w > 0.0).count());
+            assert!(before.is_none_or(|before| (before - shown).abs() < 0.02), "a step at {distance}");
+            before = Some(shown);
+        }
+        assert_eq!(least_faded, 1, "far away all have faded");
+        let bound = 63.0 * f64::from(FAINT);
+        assert!(most < bound && most > bound / 100.0, "{most} {bound}");
+    }
+
+    #[test]
+    fn bounds_of_merit_hold() {
+        for rule in every_rule() {
+            let [least, most] = rule.merit_bounds(1024.0, 0.5, [1.0, 3.0]);
+            for distance in [1.0, 1.5, 3.0] {
+                let merit = rule.merit(&at(distance, 0.5 / distance, 0.3));
+                assert!(least <= merit && merit <= most, "{rule} {distance}: {least} {merit} {most}");
+            }
         }
     }
 }

@@ -8,7 +8,8 @@
 use glam::{DVec3, Mat3, Quat, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
-use super::blend::{BlendRule, NEGLIGIBLE, View};
+use super::blend::{BlendRule, View};
+use super::candidates::{Candidate, Lookers};
 use super::effects::{EffectCache, PARTS};
 use super::emitters::bright_triangles;
 use super::guide::Guide;
@@ -142,15 +143,16 @@ pub struct Gdibl<'a> {
     objects: Option<Surfaces>,
     probes: &'a [Probe],
     placed: Vec<PlacedProbe>,
-    /// Per probe: no line of sight to it can be blocked, as far as that can be proven.
-    sees_all: Vec<bool>,
+    /// All probes, and whether each sees all of the environment whole, as far as that can be proven.
+    all: Vec<Candidate>,
     region_count: usize,
     sky: Option<Sky<'a>>,
     guide: Guide,
     punctual: Punctual,
     settings: GdiblSettings,
     effects: Option<EffectCache>,
-    remembered: Option<SurfaceLight>,
+    /// `None` where no ray will ask.
+    surface_light: Option<SurfaceLight>,
 }
 
 /// What a ray meets.
@@ -174,7 +176,7 @@ enum Change {
 #[derive(Debug, Default)]
 pub struct Scratch {
     /// Probes on the right side of the surface, best first.
-    candidates: Vec<(f32, u32)>,
+    candidates: Vec<(f32, Candidate)>,
     merits: Vec<f32>,
     seen: Vec<(Vec3, f32)>,
     weights: Vec<f32>,
@@ -194,14 +196,16 @@ impl<'a> Gdibl<'a> {
         let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
         let positions: Vec<Vec3> = placed.iter().map(|probe| probe.position).collect();
         let sees_all = environment.as_ref().map_or_else(Vec::new, |surfaces| surfaces.seen_whole_from(&positions));
+        let all: Vec<Candidate> =
+            sees_all.iter().zip(0..).map(|(&sees_all, probe)| Candidate { probe, sees_all }).collect();
         let effects = match (&environment, &objects, settings.scene_hit) {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment, settings.walks)),
             _ => None,
         };
-        let remembered = environment
-            .as_ref()
-            .filter(|_| settings.directions > 0 && settings.blend.is_seamless())
-            .and_then(|environment| SurfaceLight::new(environment, &placed, settings.directions));
+        let surface_light = environment.as_ref().filter(|_| settings.directions > 0).map(|environment| {
+            let lookers = Lookers { scene, environment, probes: &placed, blend: settings.blend };
+            SurfaceLight::new(&lookers, &all, settings.directions)
+        });
         let mut emitters = bright_triangles(scene, &environment.iter().chain(&objects).collect::<Vec<_>>());
         let is_emissive = emitters.iter().any(|own| !own.is_empty());
         let mut regions = Regions::default();
@@ -223,14 +227,14 @@ impl<'a> Gdibl<'a> {
             objects,
             probes,
             placed,
-            sees_all,
+            all,
             region_count: regions.count,
             sky: distant.map(Sky::new),
             guide,
             punctual: Punctual::new(scene, &frame),
             settings,
             effects,
-            remembered,
+            surface_light,
         }
     }
 
@@ -241,7 +245,7 @@ impl<'a> Gdibl<'a> {
 
     /// How many of them see all of the environment: no line of sight to them is traced.
     pub fn sees_all_count(&self) -> usize {
-        self.sees_all.iter().filter(|all| **all).count()
+        self.all.iter().filter(|probe| probe.sees_all).count()
     }
 
     /// Bright regions that probes show and that rays go to.
@@ -261,7 +265,8 @@ impl<'a> Gdibl<'a> {
 
     /// Triangles whose light is remembered.
     pub fn remembered_count(&self) -> usize {
-        self.remembered.as_ref().map_or(0, SurfaceLight::triangle_count)
+        let light = self.surface_light.as_ref().filter(|_| self.settings.blend.is_seamless());
+        light.map_or(0, SurfaceLight::triangle_count)
     }
 
     /// What rays do at scene geometry.
@@ -371,30 +376,47 @@ impl<'a> Gdibl<'a> {
 
     /// 3. Environment geometry: what it sends out itself, if that is known, and what probes have seen of it.
     fn environment_radiance(&self, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
-        let remembered = match (&self.remembered, &self.environment) {
-            (Some(light), Some(environment)) => {
-                light.lookup(environment, hit, |knot| self.blended_radiance(knot, viewer, context))
-            }
-            _ => None,
-        };
-        let mut seen = remembered.unwrap_or_else(|| self.blended_radiance(hit, viewer, context));
-        if self.settings.emission_from_materials
-            && let Some(environment) = &self.environment
-        {
+        let environment = self.environment.as_ref().expect("the environment was hit");
+        let lookers = Lookers { scene: self.scene, environment, probes: &self.placed, blend: self.settings.blend };
+        let light = self.surface_light.as_ref();
+        let spot = light.and_then(|light| light.at(hit, &lookers, &self.all, &mut context.rays));
+        let candidates = spot.map_or(&self.all[..], |spot| spot.candidates());
+        let mut find = |place: &Hit| self.blended_radiance(candidates, place, viewer, context);
+        let remembered = spot.and_then(|spot| spot.remembered(environment, hit, &mut find));
+        let mut seen = remembered.unwrap_or_else(|| find(hit));
+        if self.settings.emission_from_materials {
             seen.value += environment.emission(self.scene, hit);
         }
         seen
     }
 
-    /// The probes that see the point lend their pixels.
-    fn blended_radiance(&self, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
+    /// Those of the candidates that see the point lend their pixels.
+    fn blended_radiance(
+        &self,
+        candidates: &[Candidate],
+        hit: &Hit,
+        viewer: Vec3,
+        context: &mut PathContext,
+    ) -> Radiance {
+        // Others were left out for the sake of probes that see the point.
+        self.blend(candidates, hit, viewer, context).unwrap_or_else(|| {
+            let by_all = self.blend(&self.all, hit, viewer, context);
+            by_all.expect("nobody is left out")
+        })
+    }
+
+    /// Radiance by these probes. `None` where one that sees the point has no pixel that shows it, and others may have been left
+    /// out.
+    fn blend(&self, candidates: &[Candidate], hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Option<Radiance> {
         let environment = self.environment.as_ref().expect("the environment was hit");
+        let is_all = candidates.len() == self.all.len();
         let scratch = &mut context.scratch;
         // Candidates stand on the side from which the ray came.
         scratch.candidates.clear();
         let to_viewer = viewer - hit.position;
         let seamless = self.settings.blend.is_seamless();
-        for (index, probe) in self.placed.iter().enumerate() {
+        for &candidate in candidates {
+            let probe = &self.placed[candidate.probe as usize];
             let to_probe = probe.position - hit.position;
             let height = hit.normal.dot(to_probe);
             if height > 0.0 {
@@ -408,20 +430,20 @@ impl<'a> Gdibl<'a> {
                     },
                     pixels: probe.pixels,
                 };
-                scratch.candidates.push((self.settings.blend.merit(&view), index as u32));
+                scratch.candidates.push((self.settings.blend.merit(&view), candidate));
             }
         }
-        scratch.candidates.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        scratch.candidates.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.probe.cmp(&b.1.probe)));
         // Lines of sight, best first, until no further probe can have a weight.
         scratch.merits.clear();
         scratch.seen.clear();
         let start = environment.leave(hit);
-        for &(merit, index) in &scratch.candidates {
-            if scratch.merits.first().is_some_and(|&best| self.settings.blend.ratio(merit, best) < NEGLIGIBLE) {
+        for &(merit, Candidate { probe: index, sees_all }) in &scratch.candidates {
+            if scratch.merits.first().is_some_and(|&best| self.settings.blend.ratio(merit, best) == 0.0) {
                 break;
             }
             let probe = &self.placed[index as usize];
-            let clear = match self.sees_all[index as usize] {
+            let clear = match sees_all {
                 true => 1.0,
                 false => {
                     context.rays += 1;
@@ -445,10 +467,12 @@ impl<'a> Gdibl<'a> {
                 if scratch.merits.len() == self.settings.blend.reach() {
                     break;
                 }
+            } else if sees_all && !is_all {
+                return None;
             }
         }
         if scratch.merits.is_empty() {
-            return Radiance::UNCOVERED;
+            return Some(Radiance::UNCOVERED);
         }
         self.settings.blend.weights(&scratch.merits, &mut scratch.weights);
         let mut sum = Vec3::ZERO;
@@ -457,7 +481,7 @@ impl<'a> Gdibl<'a> {
             sum += radiance * (weight * clear);
             total += weight * clear;
         }
-        Radiance::covered(sum / total)
+        Some(Radiance::covered(sum / total))
     }
 
     /// What scene geometry changes in the light of an environment point, from the texel it lies in.

@@ -1,6 +1,7 @@
 //! Radiance functions: (origin, direction) → radiance or uncovered. The one place where probes and geometry meet.
 
 pub mod blend;
+mod candidates;
 mod effects;
 mod emitters;
 pub mod exposure;

@@ -1,10 +1,13 @@
 //! The light that probes show of a surface, remembered where many rays will ask for it.
 //!
+//! Triangles are cut into *patches*, as many as the rays that will ask pay for. The first ray to hit a patch (one side) has
+//! its list of [candidates](Candidate) made: who can lend light there at all.
+//!
 //! By a rule that does not look at the node ([`BlendRule::is_seamless`](super::blend::BlendRule::is_seamless)) the blended
-//! radiance of a surface point is the same for all who see it. So it is found once per *knot* of a lattice over each side
-//! of a triangle, and interpolated between the three knots around a hit, which costs the same however many probes there
-//! are. Knots stand at most a pixel of the best probe apart, and are found when first asked for, by nothing but their
-//! place: the result does not depend on who asks first.
+//! radiance of a surface point is the same for all who see it. So it is found once per *knot* of a lattice over the
+//! patch, and interpolated between the three knots around a hit, which costs the same however many probes there
+//! are. Knots stand at most a pixel of the best candidate apart. Lists and knots are found when first asked for, by nothing but
+//! their place: the result does not depend on who asks first.
 //!
 //! Where the three differ (the edge of a shadow or of a probe's view, a lamp, one knot that no probe sees), the hit is
 //! asked for itself, so nothing is smeared over an edge.
@@ -13,80 +16,152 @@ use glam::{Vec2, Vec3};
 use std::sync::OnceLock;
 
 use super::Radiance;
-use super::gdibl::PlacedProbe;
+use super::candidates::{Candidate, Lookers, Place};
 use crate::trace::{Hit, Surfaces};
 
-/// Rays per knot under which remembering does not pay: a knot costs what a ray asks for that finds it anew. Retuned by
-/// `tools/bake_bench`.
-const RAYS_PER_KNOT: f64 = 2.0;
-/// Knots stand so many pixels of the best probe apart. With 45 captured probes, 1000 nodes of the box differed by 0.04 % from
-/// light found anew (the bake is sure to 0.9 %), with 8.6 rays per direction of 27.9; at 1 by 0.08 %, with 3.8. The rays are
-/// those that find knots: for 8000 nodes 2.1 are left (`tools/bake_bench`).
+/// Rays per patch that pay for its list, which costs as much as some tens of rays. Retuned by `tools/bake_bench`.
+const RAYS_PER_PATCH: f64 = 256.0;
+/// Patches at most, of all front sides; of all back sides as many again.
+const MOST_PATCHES: f64 = (1 << 17) as f64;
+/// No patch need be smaller than so many pixels of the best probe: merits hardly differ over it.
+const PATCH_PIXELS: f32 = 8.0;
+/// Rays per knot at which knots stand as close as they pay; and under which remembering does not pay: a knot costs what a
+/// ray asks for that finds it anew. Retuned by `tools/bake_bench`.
+const RAYS_PER_KNOT: [f64; 2] = [16.0, 2.0];
+/// Knots stand so many pixels of the best candidate apart, where rays pay for it.
 const FINEST: f32 = 0.5;
-/// Where rays are too few for that, up to so many: noise hides what is lost.
-const COARSEST: f32 = 1.0;
+/// Where rays are too few for that, up to so many: noise hides what is lost. 1000 nodes of the box by 60 captured probes,
+/// sure to 0.98 %, differed by 0.11 % from light found anew at 1, and by 0.18 % at 4, where a hundredth of the hits more were
+/// remembered (`tools/bake_bench`).
+const COARSEST: f32 = 0.9;
 /// Knots at most, by area, of all front sides; of all back sides as many again. 80 MB each.
 const MOST_KNOTS: f64 = (4 << 20) as f64;
 /// The three knots agree when none differs from their mean by more than this share of it. Half: the same rays and difference,
 /// within 1 %.
 const AGREEMENT: f32 = 0.25;
-/// Knots lie in their triangle by this share of a cell, off the surfaces that meet at its edges.
+/// Knots lie in their patch by this share of a cell, off the surfaces that meet at its edges.
 const INSET: f32 = 0.05;
 
-/// Knots of one side of a triangle, made when it is first hit.
-type Side = OnceLock<Box<[OnceLock<Radiance>]>>;
-
-/// Remembered radiance of every environment triangle that is worth it.
+/// All patches of the environment.
 #[derive(Debug)]
 pub struct SurfaceLight {
-    /// Cells along each edge of a triangle; 0: its light is not remembered.
-    cuts: Vec<[u16; 2]>,
-    sides: Vec<[Side; 2]>,
+    /// Per triangle: patches along each edge; 0: rays there ask all probes.
+    cuts: Vec<u16>,
+    /// Per triangle: its first patch.
+    first: Vec<u32>,
+    patches: Vec<[OnceLock<Patch>; 2]>,
+    /// Rays that will ask, per square trace unit.
+    rays: f64,
+    /// Knots per square trace unit, at most.
+    most_knots: f64,
+}
+
+/// One side of a patch.
+#[derive(Debug)]
+struct Patch {
+    candidates: Box<[Candidate]>,
+    /// Cells of the lattice along each edge; 0: light is not remembered.
+    cells: u32,
+    knots: Box<[OnceLock<Radiance>]>,
+}
+
+/// Where a hit lies.
+#[derive(Debug, Clone, Copy)]
+pub struct Spot<'a> {
+    patch: &'a Patch,
+    corner: PatchCorners,
+    /// Barycentric, in the patch.
+    inner: Vec2,
 }
 
 impl SurfaceLight {
-    /// Nothing is found yet. `rays` will ask, all together; they fall on surfaces by area, about. `None` where no triangle
-    /// is worth it.
-    pub fn new(environment: &Surfaces, probes: &[PlacedProbe], rays: u64) -> Option<SurfaceLight> {
+    /// Nothing is found yet. `rays` will ask, all together; they fall on surfaces by area, about.
+    pub fn new(lookers: &Lookers, all: &[Candidate], rays: u64) -> SurfaceLight {
+        let environment = lookers.environment;
         let triangles = 0..environment.len() as u32;
         let total: f64 = triangles.clone().map(|t| f64::from(area(environment.corners(t)))).sum();
-        let most = (rays as f64 / RAYS_PER_KNOT).min(MOST_KNOTS) / total.max(f64::MIN_POSITIVE);
+        let total = total.max(f64::MIN_POSITIVE);
+        let density = (rays as f64 / RAYS_PER_PATCH).min(MOST_PATCHES) / total;
         let cuts = |triangle| {
             let corners = environment.corners(triangle);
-            let most = most * f64::from(area(corners));
-            [false, true].map(|back| {
+            let most = (density * f64::from(area(corners))).sqrt().round() as u16;
+            if most < 2 {
+                return most;
+            }
+            let finest = |back| {
                 let normal = environment.point(triangle, Vec2::ZERO, back).normal;
-                // Fewer than one cell needs are too few, whatever the probes.
-                if most < 3.0 { 0 } else { cuts(corners, finest_pixel(corners, normal, probes), most) }
-            })
+                lookers.finest_pixel(all, &Place { corners, normal, triangle })
+            };
+            let smallest = PATCH_PIXELS * finest(false).min(finest(true));
+            most.min((longest_edge(corners) / smallest).ceil().max(1.0) as u16)
         };
-        let cuts: Vec<_> = triangles.clone().map(cuts).collect();
-        let any = cuts.iter().any(|sides| *sides != [0, 0]);
-        any.then(|| SurfaceLight { cuts, sides: triangles.map(|_| Default::default()).collect() })
+        let cuts: Vec<u16> = triangles.map(cuts).collect();
+        let mut count = 0;
+        let mut first = Vec::with_capacity(cuts.len());
+        for cuts in &cuts {
+            first.push(count);
+            count += u32::from(*cuts).pow(2);
+        }
+        let patches = (0..count).map(|_| Default::default()).collect();
+        SurfaceLight { cuts, first, patches, rays: rays as f64 / total, most_knots: MOST_KNOTS / total }
     }
 
-    /// Triangles whose light is remembered, on one side or both.
+    /// Triangles that have patches.
     pub fn triangle_count(&self) -> usize {
-        self.cuts.iter().filter(|sides| **sides != [0, 0]).count()
+        self.cuts.iter().filter(|cuts| **cuts > 0).count()
     }
 
-    /// Radiance at `hit`: interpolated, or `None` where it has to be found for the hit itself. `find` does it for a knot.
-    pub fn lookup(
+    /// The patch that holds `hit`; `None` on a triangle that has none. Counts what it traces in `rays`.
+    pub fn at(&self, hit: &Hit, lookers: &Lookers, all: &[Candidate], rays: &mut u64) -> Option<Spot<'_>> {
+        let cuts = u32::from(self.cuts[hit.triangle as usize]);
+        if cuts == 0 {
+            return None;
+        }
+        let (corner, inner) = PatchCorners::around(hit.barycentric, cuts);
+        let number = self.first[hit.triangle as usize] + corner.number();
+        let patch = self.patches[number as usize][usize::from(hit.back)].get_or_init(|| {
+            let corners = [Vec2::ZERO, Vec2::X, Vec2::Y]
+                .map(|inner| lookers.environment.point(hit.triangle, corner.place(inner), hit.back).position);
+            self.find(lookers, all, &Place { corners: &corners, normal: hit.normal, triangle: hit.triangle }, rays)
+        });
+        Some(Spot { patch, corner, inner })
+    }
+
+    fn find(&self, lookers: &Lookers, all: &[Candidate], place: &Place, rays: &mut u64) -> Patch {
+        let candidates = lookers.candidates(all, place, rays);
+        let area = f64::from(area(place.corners));
+        let most = RAYS_PER_KNOT.map(|rays| (self.rays / rays).min(self.most_knots) * area);
+        let pixel = lookers.finest_pixel(&candidates, place);
+        let cells = if lookers.blend.is_seamless() { cells(place.corners, pixel, most) } else { 0 };
+        let count = if cells > 0 { knot_count(cells) } else { 0 };
+        Patch { candidates, cells, knots: (0..count).map(|_| OnceLock::new()).collect() }
+    }
+}
+
+impl<'a> Spot<'a> {
+    /// Who can lend light there.
+    pub fn candidates(&self) -> &'a [Candidate] {
+        &self.patch.candidates
+    }
+
+    /// Radiance at `hit`, which lies there: interpolated, or `None` where it has to be found for the hit itself. `find` does
+    /// it for a knot.
+    pub fn remembered(
         &self,
         environment: &Surfaces,
         hit: &Hit,
         mut find: impl FnMut(&Hit) -> Radiance,
     ) -> Option<Radiance> {
-        let cuts = u32::from(self.cuts[hit.triangle as usize][usize::from(hit.back)]);
-        if cuts == 0 {
+        let Patch { cells, knots, .. } = self.patch;
+        if *cells == 0 {
             return None;
         }
-        let side = &self.sides[hit.triangle as usize][usize::from(hit.back)];
-        let knots = side.get_or_init(|| (0..knot_count(cuts)).map(|_| OnceLock::new()).collect());
-        let around = knots_around(hit.barycentric, cuts);
+        let around = knots_around(self.inner, *cells);
         let found = around.map(|(i, j, _)| {
-            *knots[knot_number(i, j)]
-                .get_or_init(|| find(&environment.point(hit.triangle, place(i, j, cuts), hit.back)))
+            *knots[knot_number(i, j)].get_or_init(|| {
+                let place = self.corner.place(place(i, j, *cells));
+                find(&environment.point(hit.triangle, place, hit.back))
+            })
         });
         let mean = (found[0].value + found[1].value + found[2].value) / 3.0;
         let agree = found.iter().all(|knot| {
@@ -100,77 +175,81 @@ impl SurfaceLight {
     }
 }
 
+/// One of the equal triangles that a triangle is cut into. Lower ones have their first corner at (column, row); upper ones,
+/// turned round, opposite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct PatchCorners {
+    cuts: u32,
+    column: u32,
+    row: u32,
+    is_upper: bool,
+}
+
+impl PatchCorners {
+    /// The patch around a place of the triangle, and where in the patch that is (both barycentric).
+    fn around(barycentric: Vec2, cuts: u32) -> (PatchCorners, Vec2) {
+        let scaled = barycentric.clamp(Vec2::ZERO, Vec2::ONE) * cuts as f32;
+        let column = (scaled.x as u32).min(cuts - 1);
+        let row = (scaled.y as u32).min(cuts - 1 - column);
+        let inner = scaled - Vec2::new(column as f32, row as f32);
+        let is_upper = inner.x + inner.y > 1.0 && column + row + 1 < cuts;
+        (PatchCorners { cuts, column, row, is_upper }, if is_upper { Vec2::ONE - inner } else { inner })
+    }
+
+    /// Row by row.
+    fn number(self) -> u32 {
+        let above = self.cuts - self.row;
+        self.cuts.pow(2) - above.pow(2) + 2 * self.column + u32::from(self.is_upper)
+    }
+
+    /// From places in the patch to places in the triangle.
+    fn place(self, inner: Vec2) -> Vec2 {
+        let inner = if self.is_upper { Vec2::ONE - inner } else { inner };
+        (Vec2::new(self.column as f32, self.row as f32) + inner) / self.cuts as f32
+    }
+}
+
 fn area([a, b, c]: &[Vec3; 3]) -> f32 {
     (b - a).cross(c - a).length() / 2.0
 }
 
-/// Edge of the smallest patch, trace units, that a pixel of some probe covers on a triangle: pixels per area are
-/// N cosθ / 4π d², of the probe's nearest point.
-fn finest_pixel(corners: &[Vec3; 3], normal: Vec3, probes: &[PlacedProbe]) -> f32 {
-    let density = |probe: &PlacedProbe| {
-        let height = normal.dot(probe.position - corners[0]);
-        let distance = nearest_point(corners, probe.position).distance(probe.position).max(height);
-        if height > 0.0 { probe.pixels * height / distance.powi(3) } else { 0.0 }
-    };
-    let densest = probes.iter().map(density).fold(0.0, f32::max);
-    (4.0 * std::f32::consts::PI / densest).sqrt()
+fn longest_edge([a, b, c]: &[Vec3; 3]) -> f32 {
+    (b - a).length().max((c - b).length()).max((a - c).length())
 }
 
-/// Of a triangle. Based on: Ericson, "Real-Time Collision Detection", 2005, §5.1.5.
-fn nearest_point(&[a, b, c]: &[Vec3; 3], p: Vec3) -> Vec3 {
-    let (ab, ac) = (b - a, c - a);
-    let (d1, d2) = (ab.dot(p - a), ac.dot(p - a));
-    let (d3, d4) = (ab.dot(p - b), ac.dot(p - b));
-    let (d5, d6) = (ab.dot(p - c), ac.dot(p - c));
-    let (va, vb, vc) = (d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2);
-    let along = |from: Vec3, edge: Vec3| {
-        let length = edge.length_squared();
-        if length > 0.0 { from + edge * ((p - from).dot(edge) / length).clamp(0.0, 1.0) } else { from }
-    };
-    if va > 0.0 && vb > 0.0 && vc > 0.0 {
-        let sum = va + vb + vc;
-        return a + ab * (vb / sum) + ac * (vc / sum);
-    }
-    let near = |x: &Vec3| x.distance_squared(p);
-    [along(a, ab), along(b, c - b), along(a, ac)]
-        .into_iter()
-        .min_by(|x, y| near(x).total_cmp(&near(y)))
-        .expect("three edges")
-}
-
-/// Cells along an edge for at most `most` knots; 0: they would stand too far apart, or no probe sees the triangle.
-fn cuts(&[a, b, c]: &[Vec3; 3], pixel: f32, most: f64) -> u16 {
-    let longest = (b - a).length().max((c - b).length()).max((a - c).length());
-    let finest = (longest / (pixel * FINEST)).ceil().clamp(1.0, f32::from(u16::MAX));
+/// Cells along an edge: as close as `most[0]` knots allow, and if that is too far apart, as few of `most[1]` as do; 0: those
+/// are too few, or no probe sees the patch.
+fn cells(corners: &[Vec3; 3], pixel: f32, most: [f64; 2]) -> u32 {
+    let at_spacing = |pixels: f32| (longest_edge(corners) / (pixel * pixels)).ceil().max(1.0);
     // Knots: (cells + 1)(cells + 2) / 2.
-    let affordable = ((0.25 + 2.0 * most).sqrt() - 1.5).floor() as f32;
-    let cells = finest.min(affordable);
-    if pixel.is_finite() && longest <= cells * pixel * COARSEST { cells as u16 } else { 0 }
+    let [paid, affordable] = most.map(|most| ((0.25 + 2.0 * most).sqrt() - 1.5).floor() as f32);
+    let cells = at_spacing(FINEST).min(paid).max(at_spacing(COARSEST));
+    if pixel.is_finite() && cells <= affordable { cells as u32 } else { 0 }
 }
 
-/// Knot (i, j) of a triangle stands at v = i / cuts, w = j / cuts; they are numbered by diagonals i + j.
+/// Knot (i, j) of a patch stands at v = i / cells, w = j / cells; they are numbered by diagonals i + j.
 fn knot_number(i: u32, j: u32) -> usize {
     let diagonal = (i + j) as usize;
     diagonal * (diagonal + 1) / 2 + j as usize
 }
 
-fn knot_count(cuts: u32) -> usize {
-    knot_number(0, cuts) + 1
+fn knot_count(cells: u32) -> usize {
+    knot_number(0, cells) + 1
 }
 
 /// Barycentric place of a knot, drawn in from the edges.
-fn place(i: u32, j: u32, cuts: u32) -> Vec2 {
-    let at = Vec2::new(i as f32, j as f32) / cuts as f32;
-    at + (Vec2::splat(1.0 / 3.0) - at) * (INSET / cuts as f32)
+fn place(i: u32, j: u32, cells: u32) -> Vec2 {
+    let at = Vec2::new(i as f32, j as f32) / cells as f32;
+    at + (Vec2::splat(1.0 / 3.0) - at) * (INSET / cells as f32)
 }
 
 /// The three knots around a place, with weights that sum to 1.
-fn knots_around(barycentric: Vec2, cuts: u32) -> [(u32, u32, f32); 3] {
-    let scaled = barycentric.clamp(Vec2::ZERO, Vec2::ONE) * cuts as f32;
-    let i = (scaled.x as u32).min(cuts - 1);
-    let j = (scaled.y as u32).min(cuts - 1 - i);
+fn knots_around(barycentric: Vec2, cells: u32) -> [(u32, u32, f32); 3] {
+    let scaled = barycentric.clamp(Vec2::ZERO, Vec2::ONE) * cells as f32;
+    let i = (scaled.x as u32).min(cells - 1);
+    let j = (scaled.y as u32).min(cells - 1 - i);
     let (x, y) = (scaled.x - i as f32, scaled.y - j as f32);
-    if x + y <= 1.0 || i + j + 1 >= cuts {
+    if x + y <= 1.0 || i + j + 1 >= cells {
         let x = x.min(1.0);
         let y = y.min(1.0 - x);
         [(i, j, 1.0 - x - y), (i + 1, j, x), (i, j + 1, y)]
@@ -186,42 +265,53 @@ mod tests {
     use crate::sampling::{Sampler, Stream};
 
     #[test]
-    fn interpolation_is_exact_for_linear_light_and_weights_sum_to_one() {
+    fn every_place_lies_in_a_patch_of_its_own_number() {
         let stream = Stream::new(Sampler::Sobol, 0, 0, 0);
-        for cuts in [1, 2, 3, 7, 100] {
-            let mut numbers = std::collections::BTreeSet::new();
+        for cuts in [1, 2, 3, 7] {
+            let mut numbers = std::collections::BTreeMap::new();
             for sample in 0..20_000 {
                 let [a, b] = stream.point(sample, 0);
                 let at = if a + b > 1.0 { Vec2::new(1.0 - a, 1.0 - b) } else { Vec2::new(a, b) };
-                let around = knots_around(at, cuts);
-                let sum = around.iter().fold(Vec2::ZERO, |sum, &(i, j, w)| {
-                    assert!(i + j <= cuts, "{i} {j} of {cuts}");
-                    assert!((-1e-5..=1.0 + 1e-5).contains(&w), "{w}");
-                    numbers.insert(knot_number(i, j));
-                    sum + Vec2::new(i as f32, j as f32) / cuts as f32 * w
-                });
-                assert!((sum - at).length() < 1e-5, "{at} {sum}");
-                assert!((around.iter().map(|k| k.2).sum::<f32>() - 1.0).abs() < 1e-5);
+                let (patch, inner) = PatchCorners::around(at, cuts);
+                assert!(inner.min_element() >= 0.0 && inner.element_sum() <= 1.0 + 1e-5, "{inner}");
+                assert!((patch.place(inner) - at).length() < 1e-6, "{at} {patch:?} {inner}");
+                assert_eq!(*numbers.entry(patch.number()).or_insert(patch), patch);
             }
-            assert!(numbers.iter().all(|n| *n < knot_count(cuts)));
-            assert!(cuts > 50 || numbers.len() == knot_count(cuts), "every knot has its number");
+            assert_eq!(numbers.into_keys().collect::<Vec<_>>(), (0..cuts * cuts).collect::<Vec<_>>());
         }
     }
 
     #[test]
-    fn nearest_point_is_no_farther_than_any_other() {
-        let stream = Stream::new(Sampler::Sobol, 1, 0, 0);
-        let corners = [Vec3::new(0.0, 0.0, 0.0), Vec3::new(2.0, 0.0, 0.0), Vec3::new(0.3, 1.0, 0.0)];
-        for sample in 0..500 {
-            let ([x, y], [z, _]) = (stream.point(sample, 0), stream.point(sample, 1));
-            let p = Vec3::new(x, y, z) * 6.0 - 3.0;
-            let nearest = nearest_point(&corners, p).distance(p);
-            for other in 0..500 {
-                let [a, b] = stream.point(other, 2);
-                let (v, w) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
-                let there = corners[0] * (1.0 - v - w) + corners[1] * v + corners[2] * w;
-                assert!(nearest <= there.distance(p) + 1e-5, "{p}");
+    fn knots_stand_as_close_as_rays_pay_for_and_no_farther_apart_than_they_may() {
+        let corners = [Vec3::ZERO, Vec3::X, Vec3::Y];
+        let pixel = 2.0f32.sqrt() / 10.0;
+        assert_eq!(cells(&corners, pixel, [1e9, 1e9]), 20, "half a pixel");
+        assert_eq!(cells(&corners, pixel, [153.0, 1e9]), 16, "153 knots are 16 cells");
+        assert_eq!(cells(&corners, pixel, [1.0, 1e9]), 12, "0.9 pixels");
+        assert_eq!(cells(&corners, pixel, [1.0, 90.0]), 0, "12 cells have 91 knots");
+        assert_eq!(cells(&corners, f32::INFINITY, [1e9, 1e9]), 0, "nobody sees it");
+    }
+
+    #[test]
+    fn interpolation_is_exact_for_linear_light_and_weights_sum_to_one() {
+        let stream = Stream::new(Sampler::Sobol, 0, 0, 0);
+        for cells in [1, 2, 3, 7, 100] {
+            let mut numbers = std::collections::BTreeSet::new();
+            for sample in 0..20_000 {
+                let [a, b] = stream.point(sample, 0);
+                let at = if a + b > 1.0 { Vec2::new(1.0 - a, 1.0 - b) } else { Vec2::new(a, b) };
+                let around = knots_around(at, cells);
+                let sum = around.iter().fold(Vec2::ZERO, |sum, &(i, j, w)| {
+                    assert!(i + j <= cells, "{i} {j} of {cells}");
+                    assert!((-1e-5..=1.0 + 1e-5).contains(&w), "{w}");
+                    numbers.insert(knot_number(i, j));
+                    sum + Vec2::new(i as f32, j as f32) / cells as f32 * w
+                });
+                assert!((sum - at).length() < 1e-5, "{at} {sum}");
+                assert!((around.iter().map(|k| k.2).sum::<f32>() - 1.0).abs() < 1e-5);
             }
+            assert!(numbers.iter().all(|n| *n < knot_count(cells)));
+            assert!(cells > 50 || numbers.len() == knot_count(cells), "every knot has its number");
         }
     }
 }

@@ -6,6 +6,7 @@
 
 mod collapse;
 mod level;
+mod shaft;
 mod simd;
 mod star;
 mod tree;
@@ -16,6 +17,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 use crate::scene::{Alpha, Material, Mesh, Scene};
 pub(crate) use level::MAX_LAYERS;
 pub use level::{Level, Met};
+pub use shaft::Sight;
 pub use tree::{Tree, TreeHit};
 
 /// Half the size of the level in trace units lies in `TRACE_EXTENT/2 ..= TRACE_EXTENT`.
@@ -364,4 +366,49 @@ fn off_surface(point: Vec3) -> f32 {
 fn geometric_normal(corners: &[Vec3; 3]) -> Vec3 {
     let [a, b, c] = corners.map(|v| v.as_dvec3());
     (b - a).cross(c - a).try_normalize().map_or(Vec3::Y, |n| n.as_vec3())
+}
+
+/// The point of a triangle that is nearest to `p`. Based on: Ericson, "Real-Time Collision Detection", 2005, §5.1.5.
+pub(crate) fn nearest_point(&[a, b, c]: &[Vec3; 3], p: Vec3) -> Vec3 {
+    let (ab, ac) = (b - a, c - a);
+    let (d1, d2) = (ab.dot(p - a), ac.dot(p - a));
+    let (d3, d4) = (ab.dot(p - b), ac.dot(p - b));
+    let (d5, d6) = (ab.dot(p - c), ac.dot(p - c));
+    let (va, vb, vc) = (d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2);
+    let along = |from: Vec3, edge: Vec3| {
+        let length = edge.length_squared();
+        if length > 0.0 { from + edge * ((p - from).dot(edge) / length).clamp(0.0, 1.0) } else { from }
+    };
+    if va > 0.0 && vb > 0.0 && vc > 0.0 {
+        let sum = va + vb + vc;
+        return a + ab * (vb / sum) + ac * (vc / sum);
+    }
+    let near = |x: &Vec3| x.distance_squared(p);
+    [along(a, ab), along(b, c - b), along(a, ac)]
+        .into_iter()
+        .min_by(|x, y| near(x).total_cmp(&near(y)))
+        .expect("three edges")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::{Sampler, Stream};
+
+    #[test]
+    fn nearest_point_is_no_farther_than_any_other() {
+        let stream = Stream::new(Sampler::Sobol, 1, 0, 0);
+        let corners = [Vec3::new(0.0, 0.0, 0.0), Vec3::new(2.0, 0.0, 0.0), Vec3::new(0.3, 1.0, 0.0)];
+        for sample in 0..500 {
+            let ([x, y], [z, _]) = (stream.point(sample, 0), stream.point(sample, 1));
+            let p = Vec3::new(x, y, z) * 6.0 - 3.0;
+            let nearest = nearest_point(&corners, p).distance(p);
+            for other in 0..500 {
+                let [a, b] = stream.point(other, 2);
+                let (v, w) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
+                let there = corners[0] * (1.0 - v - w) + corners[1] * v + corners[2] * w;
+                assert!(nearest <= there.distance(p) + 1e-5, "{p}");
+            }
+        }
+    }
 }

@@ -237,6 +237,32 @@ impl Tree {
         is_hit
     }
 
+    /// Every triangle that lies, as far as boxes tell, in some space is `good`. `reaches` says which boxes of a node do,
+    /// a bit each.
+    pub fn all_in(&self, reaches: impl Fn(&Node) -> u32, mut good: impl FnMut(u32) -> bool) -> bool {
+        let mut stack = Stack::<STACK>::new();
+        if !self.nodes.is_empty() {
+            stack.push(0);
+        }
+        while let Some(child) = stack.pop() {
+            let child = Child(child as u32);
+            if let Some(blocks) = child.blocks() {
+                let mut triangles = self.blocks[blocks].iter().flat_map(|block| block.id).filter(|id| *id != u32::MAX);
+                if !triangles.all(&mut good) {
+                    return false;
+                }
+                continue;
+            }
+            let node = &self.nodes[child.0 as usize];
+            let mut inside = reaches(node);
+            while inside != 0 {
+                stack.push(u64::from(node.children[inside.trailing_zeros() as usize % WIDTH].0));
+                inside &= inside - 1;
+            }
+        }
+        true
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         self.nodes.len() * size_of::<Node>() + self.blocks.len() * size_of::<TriangleBlock>()

@@ -28,7 +28,8 @@ fn remembered_light_is_that_which_is_found_anew() {
         let (remembered, some) = bake_with(1 << 26, blend);
         assert_eq!((none, some > 0), (0, seamless), "{blend}");
         if !seamless {
-            assert_eq!(anew, remembered, "{blend}");
+            // Lists of probes save rays and change nothing.
+            assert_eq!(anew.sh, remembered.sh, "{blend}");
             continue;
         }
         let difference = difference(&remembered.sh, &anew.sh);

@@ -1,0 +1,104 @@
+//! Which probes can lend light to a patch of surface, and which of them see all of it, so that what a point of it costs does
+//! not grow with the number of probes.
+//!
+//! Left out are probes that see nothing of the patch, and those that are [too faint](super::blend::FAINT) anywhere on it beside
+//! one that sees all of it; of that one no line of sight is asked. All this is proven, by
+//! [bounds of merit](BlendRule::merit_bounds) and by [shafts](Surfaces::sight): radiance is what it is by all probes.
+
+use glam::Vec3;
+
+use super::blend::BlendRule;
+use super::gdibl::PlacedProbe;
+use crate::scene::Scene;
+use crate::trace::{Sight, Surfaces, nearest_point};
+
+/// Bounds of merit are wider by this share, for rounding.
+const ROUNDING: f32 = 1e-3;
+
+/// A probe that may lend light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Candidate {
+    /// Which.
+    pub probe: u32,
+    /// It sees all of what is asked about: no line of sight needs tracing.
+    pub sees_all: bool,
+}
+
+/// A part of one side of a triangle.
+#[derive(Debug, Clone, Copy)]
+pub struct Place<'a> {
+    /// Trace positions.
+    pub corners: &'a [Vec3; 3],
+    /// Unit, of the side.
+    pub normal: Vec3,
+    /// Whose part it is.
+    pub triangle: u32,
+}
+
+/// Who looks at what.
+#[derive(Debug, Clone, Copy)]
+pub struct Lookers<'a> {
+    /// The level.
+    pub scene: &'a Scene,
+    /// Its environment geometry.
+    pub environment: &'a Surfaces,
+    /// All probes.
+    pub probes: &'a [PlacedProbe],
+    /// How they share a point.
+    pub blend: BlendRule,
+}
+
+impl Lookers<'_> {
+    /// Those among `all` that may lend light to a place. Counts what it traces in `rays`.
+    pub fn candidates(&self, all: &[Candidate], place: &Place, rays: &mut u64) -> Box<[Candidate]> {
+        let bounds = |candidate: &Candidate| {
+            let probe = &self.probes[candidate.probe as usize];
+            let height = place.normal.dot(probe.position - place.corners[0]);
+            let nearest = nearest_point(place.corners, probe.position).distance(probe.position);
+            let farthest = place.corners.iter().map(|corner| corner.distance(probe.position)).fold(0.0, f32::max);
+            // Close to the plane of the triangle, rounding may lift it over one point and not over another.
+            let is_before = height > -ROUNDING * farthest;
+            let bounds = |height: f32| self.blend.merit_bounds(probe.pixels, height.max(0.0), [nearest, farthest]);
+            let ([least, _], [_, most]) = (bounds(height - ROUNDING * farthest), bounds(height + ROUNDING * farthest));
+            is_before.then_some(([least * (1.0 - ROUNDING), most * (1.0 + ROUNDING)], *candidate))
+        };
+        let mut open: Vec<([f32; 2], Candidate)> = all.iter().filter_map(bounds).collect();
+        open.sort_by(|a, b| b.0[1].total_cmp(&a.0[1]));
+        // Everywhere on the place some probe that sees it is at least so good.
+        let mut best = 0.0f32;
+        let mut kept: Vec<(f32, Candidate)> = Vec::new();
+        for ([least, most], candidate) in open {
+            if self.blend.ratio(most, best) == 0.0 {
+                break;
+            }
+            let sight = match candidate.sees_all {
+                true => Sight::Whole,
+                false => {
+                    *rays += 1;
+                    let position = self.probes[candidate.probe as usize].position;
+                    self.environment.sight(self.scene, position, place.corners, place.triangle)
+                }
+            };
+            match sight {
+                Sight::Hidden => continue,
+                Sight::Whole => best = best.max(least),
+                Sight::Mixed => {}
+            }
+            kept.push((most, Candidate { sees_all: sight == Sight::Whole, ..candidate }));
+        }
+        kept.iter().filter(|(most, _)| self.blend.ratio(*most, best) > 0.0).map(|(_, candidate)| *candidate).collect()
+    }
+
+    /// Edge of the smallest square, trace units, that a pixel of one of these probes covers on a place: pixels per area are
+    /// N cosθ / 4π d², of its point that is nearest to the probe. Infinite where none stands before it.
+    pub fn finest_pixel(&self, candidates: &[Candidate], place: &Place) -> f32 {
+        let density = |candidate: &Candidate| {
+            let probe = &self.probes[candidate.probe as usize];
+            let height = place.normal.dot(probe.position - place.corners[0]);
+            let distance = nearest_point(place.corners, probe.position).distance(probe.position).max(height);
+            if height > 0.0 { probe.pixels * height / distance.powi(3) } else { 0.0 }
+        };
+        let densest = candidates.iter().map(density).fold(0.0, f32::max);
+        (4.0 * std::f32::consts::PI / densest).sqrt()
+    }
+}

@@ -399,7 +399,7 @@ pub fn predict(field: &Field, quantised: &Quantised, predictor: Predictor) -> St
         // One byte each where that is enough.
         let small = rest.iter().all(|&r| r < 256);
         let bytes: Vec<u8> = rest.iter().flat_map(|r| r.to_le_bytes()).collect();
-        let split = byte_shuffle(&bytes, 2);
+        let split = byte_shuffle(&bytes, 2).collect::<Vec<u8>>();
         stream.entropy += side.len() as f64 + entropy_bytes(&rest);
         stream.bytes.extend(side);
         stream.bytes.extend(&split[..if small { rest.len() } else { split.len() }]);

@@ -17,7 +17,7 @@
 //! *bricks* of 8 × 8 × 8 places: a lookup costs the same in any level, however large. Nodes are numbered brick by brick.
 
 use crate::error::text;
-use crate::grid::{Cell, box_contains, trilinear};
+use crate::grid::{Cell, Finder, box_contains, trilinear};
 use crate::walls::WallCell;
 use crate::{Error, Grid};
 use alloc::vec;
@@ -301,11 +301,11 @@ impl Bricks {
         Corners { nodes, hanging, shared }
     }
 
-    /// The nodes around a position in a box over which the places are spread, their weights, and the leaf it lies in. Every position
-    /// has an answer, as in [`Grid::locate`].
+    /// The nodes around a position in a box over which the places are spread, their weights, and the leaf it lies in; `finder` is that of
+    /// the places. Every position has an answer, as in [`Grid::locate`].
     #[inline]
-    pub(crate) fn locate(&self, grid: &Grid, position: [f64; 3]) -> ([u32; 8], [f32; 8], Leaf) {
-        let (cell, within) = grid.cell_at(position);
+    pub(crate) fn locate(&self, finder: &Finder, position: [f64; 3]) -> ([u32; 8], [f32; 8], Leaf) {
+        let (cell, within) = finder.cell_at(position);
         let leaf = self.leaf(cell);
         let corners = self.corners(leaf);
         let width = 1.0 / (1 << leaf.level) as f32;
@@ -317,7 +317,7 @@ impl Bricks {
 
     /// The same as a [`Cell`].
     pub(crate) fn cell(&self, grid: &Grid, position: [f64; 3]) -> Cell {
-        let (nodes, weights, _) = self.locate(grid, position);
+        let (nodes, weights, _) = self.locate(&Finder::new(grid), position);
         Cell { nodes, weights, inside: box_contains(grid.min, grid.max, position) }
     }
 

@@ -130,12 +130,6 @@ impl Grid {
     pub(crate) fn corners(&self, position: [f64; 3]) -> ([u32; 8], [f32; 8]) {
         Finder::new(self).corners(position)
     }
-
-    /// The cell that holds a position, by its lowest node, and where in it the position is: 0 to 1 per axis.
-    #[inline]
-    pub(crate) fn cell_at(&self, position: [f64; 3]) -> ([u32; 3], [f32; 3]) {
-        Finder::new(self).cell_at(position)
-    }
 }
 
 /// What finding cells takes, of a grid: so that it takes no division.
@@ -168,7 +162,7 @@ impl Finder {
         }
     }
 
-    /// See [`Grid::cell_at`].
+    /// The cell that holds a position, by its lowest node, and where in it the position is: 0 to 1 per axis.
     #[inline(always)]
     pub(crate) fn cell_at(&self, position: [f64; 3]) -> ([u32; 3], [f32; 3]) {
         let mut lower = [0; 3];
@@ -187,8 +181,14 @@ impl Finder {
     #[inline(always)]
     pub(crate) fn lowest(&self, position: [f64; 3]) -> (u32, [f32; 3]) {
         let (lower, share) = self.cell_at(position);
-        let along = |axis: usize| lower[axis].wrapping_mul(self.strides[axis]);
-        (along(0).wrapping_add(along(1)).wrapping_add(along(2)), share)
+        (self.index_of(lower), share)
+    }
+
+    /// See [`Grid::index_of`].
+    #[inline(always)]
+    pub(crate) fn index_of(&self, place: [u32; 3]) -> u32 {
+        let along = |axis: usize| place[axis].wrapping_mul(self.strides[axis]);
+        along(0).wrapping_add(along(1)).wrapping_add(along(2))
     }
 
     /// Whether the next node in x is the next in memory everywhere in a cell.

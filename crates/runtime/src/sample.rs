@@ -20,7 +20,7 @@ use crate::half::{f16_to_f32, upper_f16_to_scaled_f32};
 use crate::math::square_root;
 use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
 use crate::volume::{Coefficients, MIXED, SUBNORMAL, VALID, WALLED, half_of, words_of};
-use crate::{Grid, Kind, RadianceSh, Volume};
+use crate::{Kind, RadianceSh, Volume};
 use alloc::vec::Vec;
 use core::array;
 use core::hint::black_box;
@@ -191,12 +191,11 @@ impl Volume {
     /// The same in a sparse grid.
     #[inline(never)]
     fn sparse_weights(&self, bricks: &Bricks, position: [f64; 3]) -> ([u32; 8], [f32; 8], f32) {
-        let grid = Grid { counts: bricks.counts(), ..self.header.grid() };
-        let (nodes, mut weights, leaf) = bricks.locate(&grid, position);
+        let (nodes, mut weights, leaf) = bricks.locate(&self.finder, position);
         let mut validity = 1.0;
         if self.marks.is_some() || self.walls.is_some() {
             let marks = self.marks.as_deref().unwrap_or_default();
-            let cell = self.walls.is_some().then(|| grid.index_of(leaf.origin));
+            let cell = self.walls.is_some().then(|| self.finder.index_of(leaf.origin));
             validity = self.mark_weights(marks, position, &nodes, &mut weights, cell);
         }
         (nodes, weights, validity)

@@ -25,6 +25,7 @@ use core::ops::Range;
 #[derive(Clone, Debug)]
 pub struct Volume {
     pub(crate) header: Header,
+    /// Of [`grid`](Volume::grid): finds cells in it.
     pub(crate) finder: Finder,
     pub(crate) coefficients: Coefficients,
     /// Coefficient = number × scale.
@@ -132,6 +133,9 @@ impl Volume {
         sections.check_kind()?;
         (self.coefficients, self.scale) = sections.coefficients()?;
         self.bricks = sections.bricks()?;
+        if let Some(bricks) = &self.bricks {
+            self.finder = Finder::new(&Grid { counts: bricks.counts(), ..self.header.grid() });
+        }
         self.walls = sections.walls(self.bricks.as_ref())?;
         self.marks = marks(sections.validity()?, &self.coefficients, &self.header);
         if let Some(marks) = self.marks.as_mut().filter(|_| cfg!(feature = "fast") && self.header.kind == Kind::Grid) {

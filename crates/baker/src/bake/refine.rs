@@ -34,8 +34,9 @@ const NOISE: f64 = 2.0;
 const EVEN: f64 = 4.0;
 /// No axis of a grid grows by more than this to make whole coarse cells.
 const MOST_GROWTH: f64 = 1.25;
-/// A share of the nodes, and a number, that middles of finest cells are baked for in order to know the error there.
+/// A share of the nodes, and bounds of it, that middles of small cells of a size are baked for in order to know the error there.
 const CHECKED_SHARE: usize = 50;
+const LEAST_CHECKED: usize = 16;
 const MOST_CHECKED: usize = 512;
 
 /// The grid that a sparse volume is made of, for a grid that is asked for: counts grow until coarse cells fit in. The same where that
@@ -515,7 +516,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     /// in the middles of some of those that were not, which are baked for it.
     fn check(&self, nodes: &Nodes, baked: &mut Baked, bricks: &Bricks) -> Result<SparseRecord, Interrupted> {
         let volume = volume_of(nodes, baked);
-        let most = (volume.node_count() / CHECKED_SHARE).clamp(1, MOST_CHECKED);
+        let most = (volume.node_count() / CHECKED_SHARE).clamp(LEAST_CHECKED, MOST_CHECKED);
         let cell_of = |leaf: &Leaf| Cell { level: leaf.level, index: leaf.origin.map(|place| place >> leaf.level) };
         let mut levels: Vec<(u64, Vec<Leaf>)> = vec![(0, Vec::new()); self.tree.levels as usize + 1];
         for leaf in bricks.leaves() {

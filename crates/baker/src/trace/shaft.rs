@@ -99,17 +99,17 @@ impl Shaft {
     fn reaches(&self, node: &Node) -> u32 {
         let mut inside = [true; WIDTH];
         for axis in 0..3 {
-            for slot in 0..WIDTH {
-                inside[slot] &=
-                    node.bounds[axis][0][slot] <= self.max[axis] && node.bounds[axis][1][slot] >= self.min[axis];
+            let [low, high] = &node.bounds[axis];
+            for ((inside, low), high) in inside.iter_mut().zip(low).zip(high) {
+                *inside &= *low <= self.max[axis] && *high >= self.min[axis];
             }
         }
         for face in &self.faces {
             // The innermost corner of each box.
             let side = face.normal.to_array().map(|n| usize::from(n < 0.0));
-            for slot in 0..WIDTH {
+            for (slot, inside) in inside.iter_mut().enumerate() {
                 let along: f32 = (0..3).map(|axis| face.normal[axis] * node.bounds[axis][side[axis]][slot]).sum();
-                inside[slot] &= along < face.offset - self.tolerance;
+                *inside &= along < face.offset - self.tolerance;
             }
         }
         (0..WIDTH).fold(0, |bits, slot| bits | u32::from(inside[slot]) << slot)

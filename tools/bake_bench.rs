@@ -4,6 +4,7 @@
 //! probes of the level (lit by its own lamps and SKY), and bakes NODES nodes (1000) on a lattice with SAMPLES directions each
 //! (as many as `gdibl bake` takes).
 
+use cpu_time::ProcessTime;
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes};
 use gdibl_baker::capture::{CaptureSettings, PlaceSettings, capture, place_probes};
@@ -15,7 +16,6 @@ use gdibl_tools::{bake_all, read_distant, read_scene};
 use glam::{DVec3, Quat};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
-use std::time::Instant;
 
 /// Of each captured probe, pixels.
 const WIDTH: usize = 128;
@@ -63,14 +63,16 @@ fn main() {
     let places = (0..side.pow(3)).map(|i| DVec3::new(share(i % side), share(i / side % side), share(i / side / side)));
     let nodes = Nodes::Points(places.map(|share| min + (max - min) * share).collect());
     let run = |probes: &[Probe], directions: u64, importance: bool| {
-        let start = Instant::now();
+        let start = ProcessTime::now();
         let settings = GdiblSettings { emission_from_materials: true, directions, ..GdiblSettings::default() };
         let function = Gdibl::new(&scene, probes, distant.as_ref(), settings);
         let baked = bake_all(&function, &nodes, &BakeSettings { samples, importance, ..BakeSettings::default() });
         (baked, start.elapsed().as_secs_f64())
     };
     let directions = nodes.len() as u64 * samples;
-    println!("| probes | light of surfaces | s | of that found anew | rays per direction | relative error | differs |");
+    println!(
+        "| probes | light of surfaces | CPU s | of that found anew | rays per direction | relative error | differs |"
+    );
     println!("|---|---|---|---|---|---|---|");
     for count in [3, probes.len()] {
         let probes = &probes[..count];

@@ -503,6 +503,9 @@ fn interleave(bytes: &[u8], nodes: usize, planes: usize) -> Vec<f32> {
     values
 }
 
+/// In place of a plane after the last one of an odd number.
+const NONE: [[u8; 2]; BLOCK] = [[0; 2]; BLOCK];
+
 /// The same of 16-bit floats, to [`words_of`].
 fn interleave_halves(bytes: &[u8], nodes: usize, planes: usize) -> Vec<u32> {
     let elements = bytes.as_chunks::<2>().0;
@@ -521,10 +524,12 @@ fn interleave_halves(bytes: &[u8], nodes: usize, planes: usize) -> Vec<u32> {
             }
             plane += 4;
         }
-        for plane in plane..planes {
-            for (row, &element) in rows.chunks_exact_mut(per_node).zip(column(plane)) {
-                row[plane / 2] |= u32::from(u16::from_le_bytes(element)) << (16 * (plane % 2));
+        while plane < planes {
+            let upper = if plane + 1 < planes { column(plane + 1) } else { &NONE[..count] };
+            for ((row, a), b) in rows.chunks_exact_mut(per_node).zip(column(plane)).zip(upper) {
+                row[plane / 2] = word(a, b);
             }
+            plane += 2;
         }
     }
     words

@@ -25,7 +25,6 @@ fn cuts_are_volumes_that_tell_what_they_lose() {
     let folder = Folder::new();
     bake_box(&folder, &[]);
     let whole = folder.read("box.gdibl").len();
-    let mut last = 0.0;
     for (more, nodes, least) in [
         (&["--precision", "packed"][..], 1377, 0.001),
         (&["--coarser", "1"], 225, 0.004),
@@ -44,9 +43,7 @@ fn cuts_are_volumes_that_tell_what_they_lose() {
         assert_eq!(inspected["settings"], folder.inspect("box.gdibl")["settings"]);
         let plan = inspected["plan"].as_array().unwrap().last().unwrap().clone();
         assert!(plan["stage"] == "cut" && plan["why"].as_str().unwrap().contains("1377 nodes of box.gdibl"), "{plan}");
-        last = off;
     }
-    assert!(last > 0.0);
 }
 
 #[test]

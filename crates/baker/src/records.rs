@@ -5,6 +5,7 @@
 use bincode::{Decode, Encode};
 use serde::Serialize;
 
+use crate::bake::Walls;
 use crate::panorama::Sun;
 pub use crate::plan::PlanRow;
 use crate::{Error, Finding, Result};
@@ -125,6 +126,12 @@ pub struct WallsRecord {
     pub cells: u64,
     /// Planes that cut them.
     pub planes: u64,
+}
+
+impl From<&Walls> for WallsRecord {
+    fn from(walls: &Walls) -> WallsRecord {
+        WallsRecord { cells: walls.cells.len() as u64, planes: walls.planes.len() as u64 }
+    }
 }
 
 /// A sun that was taken out of the distant panorama: the directional light that an engine adds.

@@ -428,10 +428,7 @@ fn statistics(baked: &Baked, inputs: &Inputs) -> StatisticsRecord {
             outside: count(Standing::Outside),
             moved: baked.moved.len() as u64,
         },
-        walls: baked
-            .walls
-            .as_ref()
-            .map(|walls| WallsRecord { cells: walls.cells.len() as u64, planes: walls.planes.len() as u64 }),
+        walls: baked.walls.as_ref().map(WallsRecord::from),
         sparse: None,
         deringing: None,
         packing: None,

@@ -13,7 +13,7 @@ mod nodes;
 mod refine;
 mod sealed;
 mod standing;
-mod walls;
+pub(crate) mod walls;
 
 use gdibl_runtime::sh;
 use glam::{DVec3, Vec3};

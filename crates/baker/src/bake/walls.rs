@@ -37,7 +37,7 @@ pub struct Walls {
 /// Cells that one worker looks at in a row.
 const CELLS_AT_A_TIME: usize = 32;
 /// Places per axis from which a cell is looked at.
-const PER_AXIS: usize = 4;
+pub(crate) const PER_AXIS: usize = 4;
 /// Places on a surface stand off it by this share of the distance between nodes: the runtime's own bias.
 const OFF_SURFACES: f32 = BIAS;
 /// At least so far, trace units: some ulps.
@@ -47,13 +47,13 @@ const SLACK: f32 = 1e-3;
 /// A further plane must take this share of what is wrong without any.
 const LEAST_GAIN: f32 = 0.1;
 /// A cell is cut if that changes irradiance in it by this, relative and on average.
-const LEAST_CHANGE: f64 = 0.01;
+pub(crate) const LEAST_CHANGE: f64 = 0.01;
 /// Places before and beyond a face are off it by this share of half a cell.
 const ACROSS: f32 = 0.02;
 /// A corner of less weight at a face matters to nobody there.
-const LEAST_WEIGHT: f32 = 0.05;
+pub(crate) const LEAST_WEIGHT: f32 = 0.05;
 /// Irradiance under this share of the volume's median is black.
-const BLACK: f64 = 1e-3;
+pub(crate) const BLACK: f64 = 1e-3;
 
 /// Looks at every cell of a grid, sparse or not, whose nodes' light is taken at `place` (trace space). Walls, and the rays it took.
 pub(super) fn find(
@@ -100,7 +100,8 @@ pub(super) fn find(
     Ok((Some(walls), rays.into_inner()))
 }
 
-fn median_irradiance(baked: &Baked) -> f64 {
+/// Of nodes that have light of their own.
+pub(crate) fn median_irradiance(baked: &Baked) -> f64 {
     let nodes = (0..baked.len()).filter(|node| baked.is_valid(*node));
     let mut all: Vec<f64> = nodes.map(|node| strength(&irradiance_of(baked.node(node)))).collect();
     if all.is_empty() {

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 pub use tiles::{Tile, tiles, whole};
 
-use crate::bake::{self, Baked, Nodes, SparseGrid, Standing, Walls, irradiance_of, root_mean_square};
+use crate::bake::{self, Baked, Nodes, SparseGrid, Standing, irradiance_of, root_mean_square};
 use crate::records::{ErrorSummary, Records, WallsRecord};
 use crate::sampling::{Sampler, Stream};
 
@@ -65,14 +65,19 @@ impl Light {
 }
 
 impl Part {
-    fn new(nodes: Nodes, bands: u32, lights: impl Iterator<Item = Light>, walls: Option<Walls>) -> Part {
+    /// Takes `light` at every node of a grid, or of the places in it that are nodes.
+    fn new(grid: Grid, bricks: Option<Bricks>, bands: u32, light: impl Fn([u32; 3]) -> Light) -> Part {
+        let nodes = match bricks {
+            None => Nodes::Grid(grid),
+            Some(bricks) => Nodes::Sparse(SparseGrid { grid, bricks }),
+        };
         let count = 3 * sh::coefficient_count(bands);
         let mut baked = Baked {
             bands,
             sh: Vec::with_capacity(nodes.len() * count),
             standing: Vec::new(),
             moved: Vec::new(),
-            walls,
+            walls: None,
             coverage: Vec::new(),
             relative_error: Vec::new(),
             worst_error: Vec::new(),
@@ -82,7 +87,11 @@ impl Part {
             missed: 0,
             clamped: 0.0,
         };
-        for light in lights {
+        for node in 0..nodes.len() {
+            let light = light(match &nodes {
+                Nodes::Sparse(sparse) => sparse.bricks.place_of(node),
+                _ => grid.place_of(node as u32),
+            });
             baked.sh.extend(&light.sh.coefficients.as_flattened()[..count]);
             baked.standing.push(if light.is_valid { Standing::Open } else { Standing::Uncovered });
             baked.coverage.push(light.coverage);
@@ -101,9 +110,7 @@ impl Part {
         statistics.relative_error = ErrorSummary::of(valid().map(|node| f64::from(relative_error[node])));
         statistics.coverage =
             valid().map(|node| f64::from(self.baked.coverage[node])).sum::<f64>() / valid().count().max(1) as f64;
-        statistics.walls = walls
-            .as_ref()
-            .map(|walls| WallsRecord { cells: walls.cells.len() as u64, planes: walls.planes.len() as u64 });
+        statistics.walls = walls.as_ref().map(WallsRecord::from);
         (statistics.worst_direction_error, statistics.sparse, statistics.packing) = (None, None, None);
         records
     }
@@ -137,19 +144,9 @@ pub fn coarser(volume: &Volume, steps: u32) -> Option<Part> {
         };
         Bricks::new(counts, bricks.levels() - steps, is_refined)
     });
-    let bands = volume.header().bands;
-    let part = match bricks {
-        None => {
-            let lights: Vec<Light> = (0..coarse.node_count() as u32).map(|node| light(coarse.place_of(node))).collect();
-            Part::new(Nodes::Grid(coarse), bands, lights.into_iter(), None)
-        }
-        Some(bricks) => {
-            let lights: Vec<Light> = (0..bricks.node_count()).map(|node| light(bricks.place_of(node))).collect();
-            Part::new(Nodes::Sparse(SparseGrid { grid: coarse, bricks }), bands, lights.into_iter(), None)
-        }
-    };
-    let walls = walls::fit(&part, volume);
-    Some(Part { baked: Baked { walls, ..part.baked }, ..part })
+    let mut part = Part::new(coarse, bricks, volume.header().bands, light);
+    part.baked.walls = walls::fit(&part, volume);
+    Some(part)
 }
 
 /// The node at a place of a volume's grid.

@@ -6,7 +6,7 @@ use gdibl_runtime::{Grid, Volume};
 use std::collections::HashMap;
 
 use super::{Light, Part, node_at};
-use crate::bake::{Nodes, SparseGrid, Walls};
+use crate::bake::Walls;
 
 /// A piece of a volume. Inside it says what the volume says; nodes in the face between two tiles are in both.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,21 +65,14 @@ fn between(volume: &Volume, whole: &Grid, low: [u32; 3], high: [u32; 3]) -> Part
             (None, None) => unreachable!("all places of a grid are nodes"),
         }
     };
-    let walls = walls(volume, whole, &grid, low);
-    let bands = volume.header().bands;
-    match volume.bricks() {
-        None => {
-            let places = (0..grid.node_count() as u32).map(|node| grid.place_of(node));
-            Part::new(Nodes::Grid(grid), bands, places.map(light), walls)
-        }
-        Some(bricks) => {
-            let is_refined =
-                |level: u32, cell: [u32; 3]| bricks.leaf(place_in_whole(cell.map(|n| n << level))).level < level;
-            let own = Bricks::new(grid.counts, bricks.levels(), is_refined);
-            let lights: Vec<Light> = (0..own.node_count()).map(|node| light(own.place_of(node))).collect();
-            Part::new(Nodes::Sparse(SparseGrid { grid, bricks: own }), bands, lights.into_iter(), walls)
-        }
-    }
+    let bricks = volume.bricks().map(|bricks| {
+        let is_refined =
+            |level: u32, cell: [u32; 3]| bricks.leaf(place_in_whole(cell.map(|n| n << level))).level < level;
+        Bricks::new(grid.counts, bricks.levels(), is_refined)
+    });
+    let mut part = Part::new(grid, bricks, volume.header().bands, light);
+    part.baked.walls = walls(volume, whole, &grid, low);
+    part
 }
 
 /// The position of a place; on a flat axis `flat`, an end of the box.

@@ -11,16 +11,11 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use super::Part;
+use crate::bake::walls::{BLACK, LEAST_CHANGE, LEAST_WEIGHT, PER_AXIS, median_irradiance};
 use crate::bake::{Cells, Irradiance, Walls, difference, irradiance_of, strength};
 
-/// Places per axis at which a cell is compared.
-const PER_AXIS: usize = 4;
 /// A further plane must take this share of what is off without any.
 const LEAST_GAIN: f64 = 0.1;
-/// A cell is cut if that brings irradiance in it nearer by this, relative and on average.
-const LEAST_CHANGE: f64 = 0.01;
-/// Irradiance under this share of the volume's median is black.
-const BLACK: f64 = 1e-3;
 /// A fine cell reaches into the coarse ones that its corners lie in, drawn in by this share of its half.
 const INSET: f64 = 0.02;
 /// What is off must fall by this for each corner that is hidden.
@@ -31,14 +26,12 @@ const OFF_PLANES: f64 = 2e-3;
 const ACROSS: f64 = 0.02;
 /// Between them is no wall if light differs by less.
 const ALIKE: f64 = 0.1;
-/// A corner of less weight at a face matters to nobody there.
-const LEAST_WEIGHT: f32 = 0.05;
 
 /// Walls of `part`, a coarser `volume`. `None` where none are needed.
 pub(super) fn fit(part: &Part, volume: &Volume) -> Option<Walls> {
     let (planes, walled) = volume.wall_tables();
     let cells = Cells::of(&part.nodes).filter(|_| !walled.is_empty())?;
-    let fit = Fit { part, volume, cells, planes, black: BLACK * median(part) };
+    let fit = Fit { part, volume, cells, planes, black: BLACK * median_irradiance(&part.baked) };
     let cuts: Vec<(u32, Cut)> = fit
         .candidates(walled)
         .into_par_iter()
@@ -64,14 +57,6 @@ pub(super) fn fit(part: &Part, volume: &Volume) -> Option<Walls> {
         walls.cells.push(WallCell { cell, planes: own, masks: cut.masks, ends });
     }
     Some(walls)
-}
-
-/// Of irradiance in nodes that have light of their own.
-fn median(part: &Part) -> f64 {
-    let mut all: Vec<f64> =
-        part.baked.valid_nodes().map(|node| strength(&irradiance_of(part.baked.node(node)))).collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// How a cell is cut.

@@ -64,17 +64,17 @@ fn nodes_of_a_coarser_volume_are_those_of_the_finer_one_at_their_places() {
     for volume in [dense([13, 5, 9]), sparse()] {
         let fine = volume.grid().expect("a grid");
         for steps in [1, 2, 3] {
-            let Some(divided) = fine.counts.iter().map(|n| (n - 1) % (1 << steps)).max().filter(|rest| *rest == 0)
-            else {
+            if fine.counts.iter().any(|n| (n - 1) % (1 << steps) != 0) {
+                assert!(steps > 2, "{:?}", fine.counts);
                 continue;
-            };
+            }
             let part = coarser(&volume, steps).expect("a grid");
             let (grid, place_of): (Grid, Box<dyn Fn(usize) -> [u32; 3]>) = match part.nodes.clone() {
                 Nodes::Grid(grid) => (grid, Box::new(move |node| grid.place_of(node as u32))),
                 Nodes::Sparse(SparseGrid { grid, bricks }) => (grid, Box::new(move |node| bricks.place_of(node))),
                 other => panic!("{other:?}"),
             };
-            assert_eq!(grid.counts, fine.counts.map(|n| (n - 1) / (1 << steps) + 1 + divided));
+            assert_eq!(grid.counts, fine.counts.map(|n| (n - 1) / (1 << steps) + 1));
             assert!(part.nodes.len() < volume.node_count());
             for node in 0..part.nodes.len() {
                 let place = place_of(node).map(|p| p << steps);

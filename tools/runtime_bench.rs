@@ -1,12 +1,13 @@
 //! How close the runtime's samples and its parsing come to what the machine can do, as Markdown tables.
 //!
-//! `cargo run --release -p gdibl-tools --bin runtime_bench`; half a minute. Volumes are made here: L2, f16, grids.
+//! `cargo run --release -p gdibl-tools --bin runtime_bench`; a minute. Volumes are made here: L2, f16, grids.
 //!
-//! Samples, of 64 MB: `Volume::irradiance` with a normal, against two floors measured at the same places.
+//! Samples, of 64 MB: `Volume::irradiance_batch` of 4096 places and `Volume::irradiance` of one, with a normal, against two
+//! floors measured at the same places.
 //! * **floor**: finds the cell and blends the 8 × 27 halves in AVX with the processor's own f16 conversion (f16c).
 //! * **touch**: finds the cell and adds up the 8 × 27 raw words. Nothing that reads them can be faster.
 //!
-//! The same with walls in every eighth cell and in all, against none; and as sparse grids with cells of one size and of two.
+//! Both with walls in every eighth cell and in all, against none; and as sparse grids with cells of one size and of two.
 //!
 //! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes. And of the same
 //! nodes packed, which are unpacked.
@@ -40,35 +41,40 @@ const STEP: f32 = 0.05;
 /// Rounds of parsing.
 const PARSES: usize = 15;
 
-/// Position and normal.
-type Place = ([f32; 3], [f32; 3]);
+/// Positions, and a normal for each.
+struct Places<'a> {
+    positions: &'a [[f32; 3]],
+    normals: &'a [[f32; 3]],
+}
+
 /// What is done at places.
-type Work<'a> = &'a dyn Fn(&[Place]);
+type Work<'a> = &'a dyn Fn(&Places);
 
 fn main() {
-    println!("| L2 f16 samples, 64 MB | irradiance / floor | irradiance / touch | irradiance | floor | touch |");
-    println!("|---|---|---|---|---|---|");
+    println!(
+        "| L2 f16 samples, 64 MB | batch / floor | irradiance / floor | batch / touch | batch | irradiance | floor | touch |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
     let counts = counts_of(64_000_000);
     let bytes = file(counts, 0);
     let volume = Volume::parse(&bytes).expect("a volume");
     let floor = Floor::new(&bytes);
     for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
-        let irradiance = |places: &[Place]| {
-            let mut sum = [0.0; 3];
-            for (position, normal) in places {
-                let found = volume.irradiance(*position, *normal);
-                (0..3).for_each(|c| sum[c] += found[c]);
-            }
-            black_box(sum);
-        };
-        let [sample, blend, touch] = sampling_rounds(
+        let [in_batches, sample, blend, touch] = sampling_rounds(
             &places,
-            [&irradiance, &|places: &[Place]| floor.blend(places), &|places: &[Place]| floor.touch(places)],
+            [
+                &|places: &Places| batch(&volume, places),
+                &|places: &Places| irradiance(&volume, places),
+                &|places: &Places| floor.blend(places),
+                &|places: &Places| floor.touch(places),
+            ],
         );
         println!(
-            "| {name} | {:.2} | {:.2} | {:.1} ns | {:.1} ns | {:.1} ns |",
+            "| {name} | {:.2} | {:.2} | {:.2} | {:.1} ns | {:.1} ns | {:.1} ns | {:.1} ns |",
+            median_ratio(&in_batches, &blend),
             median_ratio(&sample, &blend),
-            median_ratio(&sample, &touch),
+            median_ratio(&in_batches, &touch),
+            median(&in_batches),
             median(&sample),
             median(&blend),
             median(&touch)
@@ -79,20 +85,7 @@ fn main() {
     println!("| with walls, over without | in one of 8 cells | in all | without |");
     println!("|---|---|---|---|");
     let walled = [8, 1].map(|every| Volume::parse(&file(counts, every)).expect("a volume"));
-    let irradiance = |volume: &Volume, places: &[Place]| {
-        let mut sum = [0.0; 3];
-        for (position, normal) in places {
-            let found = volume.irradiance(*position, *normal);
-            (0..3).for_each(|c| sum[c] += found[c]);
-        }
-        black_box(sum);
-    };
-    for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
-        let read = [&volume, &walled[0], &walled[1]].map(|volume| move |places: &[Place]| irradiance(volume, places));
-        let [without, some, all] = sampling_rounds(&places, [&read[0], &read[1], &read[2]]);
-        let [some, all] = [some, all].map(|times| median_ratio(&times, &without));
-        println!("| {name} | {some:.2} | {all:.2} | {:.1} ns |", median(&without));
-    }
+    compare([&volume, &walled[0], &walled[1]], counts);
 
     println!();
     println!("| sparse, over a grid | every place a node | cells of two sizes | grid |");
@@ -101,12 +94,7 @@ fn main() {
     let counts = (counts - 1) / 8 * 8 + 1;
     let volume = Volume::parse(&file(counts, 0)).expect("a volume");
     let sparse = [true, false].map(|all| Volume::parse(&sparse_file(counts, all)).expect("a volume"));
-    for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
-        let read = [&volume, &sparse[0], &sparse[1]].map(|volume| move |places: &[Place]| irradiance(volume, places));
-        let [without, all, some] = sampling_rounds(&places, [&read[0], &read[1], &read[2]]);
-        let [all, some] = [all, some].map(|times| median_ratio(&times, &without));
-        println!("| {name} | {all:.2} | {some:.2} | {:.1} ns |", median(&without));
-    }
+    compare([&volume, &sparse[0], &sparse[1]], counts);
 
     let bytes = file(counts_of(100_000_000), 0);
     let mut target = vec![0; bytes.len()];
@@ -141,15 +129,46 @@ fn main() {
     println!("| ns per node | {:.0} | {:.0} |", 1e9 * median(parse) / nodes, 1e9 * median(unpack) / nodes);
 }
 
-/// Nanoseconds per sample of each of three, round by round. In a round each has other places, so that none finds in the
+/// Prints what samples of two volumes cost over those of the first.
+fn compare(volumes: [&Volume; 3], counts: u32) {
+    for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
+        for (how, read) in [("in a batch", batch as fn(&Volume, &Places)), ("one by one", irradiance)] {
+            let [a, b, c] = volumes.map(|volume| move |places: &Places| read(volume, places));
+            let [first, second, third] = sampling_rounds(&places, [&a, &b, &c]);
+            let [second, third] = [second, third].map(|times| median_ratio(&times, &first));
+            println!("| {name}, {how} | {second:.2} | {third:.2} | {:.1} ns |", median(&first));
+        }
+    }
+}
+
+fn irradiance(volume: &Volume, places: &Places) {
+    let mut sum = [0.0; 3];
+    for (position, normal) in places.positions.iter().zip(places.normals) {
+        let found = volume.irradiance(*position, *normal);
+        (0..3).for_each(|c| sum[c] += found[c]);
+    }
+    black_box(sum);
+}
+
+fn batch(volume: &Volume, places: &Places) {
+    let mut found = [[0.0; 3]; BATCH];
+    volume.irradiance_batch(places.positions, places.normals, &mut found);
+    black_box(found);
+}
+
+/// Nanoseconds per sample of each of several, round by round. In a round each has other places, so that none finds in the
 /// cache what another has fetched; over all rounds each has them all.
-fn sampling_rounds(places: &[Place], run: [Work; 3]) -> [Vec<f64>; 3] {
-    let batches: Vec<&[Place]> = places.chunks_exact(BATCH).collect();
-    let mut nanoseconds: [Vec<f64>; 3] = Default::default();
-    for round in 0..batches.len() {
+fn sampling_rounds<const N: usize>(
+    (positions, normals): &(Vec<[f32; 3]>, Vec<[f32; 3]>),
+    run: [Work; N],
+) -> [Vec<f64>; N] {
+    let mut nanoseconds = [const { Vec::new() }; N];
+    for round in 0..BATCHES {
         for (k, run) in run.iter().enumerate() {
-            let batch = batches[(round + k * batches.len() / 3) % batches.len()];
-            nanoseconds[k].push(1e9 * time(|| run(batch)) / BATCH as f64);
+            let first = (round + k * BATCHES / N) % BATCHES * BATCH;
+            let positions = &positions[first..first + BATCH];
+            let places = Places { positions, normals: &normals[first..first + BATCH] };
+            nanoseconds[k].push(1e9 * time(|| run(&places)) / BATCH as f64);
         }
     }
     nanoseconds
@@ -260,14 +279,14 @@ fn walls(header: &Header, every: u32) -> Vec<u8> {
     walls_to_bytes(&planes, &cells.map(cell).collect::<Vec<_>>())
 }
 
-fn random_places(counts: u32) -> Vec<Place> {
+fn random_places(counts: u32) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     let mut random = Random(2);
     let positions = (0..BATCHES * BATCH).map(|_| [(); 3].map(|()| random.unit() * (counts - 1) as f32));
     with_normals(positions)
 }
 
 /// A smooth curve which fills the box.
-fn path(counts: u32) -> Vec<Place> {
+fn path(counts: u32) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     let radius = 0.5 * (counts - 1) as f32;
     let positions = (0..BATCHES * BATCH).map(|i| {
         // Mean speed of the three sines together: about 1.5 radii per unit of time.
@@ -277,9 +296,9 @@ fn path(counts: u32) -> Vec<Place> {
     with_normals(positions)
 }
 
-fn with_normals(positions: impl Iterator<Item = [f32; 3]>) -> Vec<Place> {
+fn with_normals(positions: impl Iterator<Item = [f32; 3]>) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     let normals: Vec<[f32; 3]> = fibonacci_sphere(1021).iter().map(|n| n.to_array()).collect();
-    positions.zip(normals.iter().copied().cycle()).collect()
+    positions.zip(normals.iter().copied().cycle()).unzip()
 }
 
 /// The numbers of a volume, node by node, and the least that can be done with them.
@@ -321,14 +340,14 @@ impl Floor {
     }
 
     #[cfg(target_arch = "x86_64")]
-    fn blend(&self, places: &[Place]) {
+    fn blend(&self, places: &Places) {
         assert_processor();
         // SAFETY: the processor has what the function was compiled for.
         unsafe { self.blend_f16c(places) }
     }
 
     #[cfg(target_arch = "x86_64")]
-    fn touch(&self, places: &[Place]) {
+    fn touch(&self, places: &Places) {
         assert_processor();
         // SAFETY: as above.
         unsafe { self.touch_avx2(places) }
@@ -336,10 +355,10 @@ impl Floor {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,f16c")]
-    fn blend_f16c(&self, places: &[Place]) {
+    fn blend_f16c(&self, places: &Places) {
         use std::arch::x86_64::*;
         let mut total = [_mm256_setzero_ps(); 4];
-        for (position, _) in places {
+        for position in places.positions {
             let (starts, weights) = self.locate(*position);
             let mut sum = [_mm256_setzero_ps(); 4];
             for (start, weight) in starts.into_iter().zip(weights) {
@@ -360,9 +379,9 @@ impl Floor {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn touch_avx2(&self, places: &[Place]) {
+    fn touch_avx2(&self, places: &Places) {
         let mut total = [0u16; 32];
-        for (position, _) in places {
+        for position in places.positions {
             for start in self.locate(*position).0 {
                 for (total, half) in total.iter_mut().zip(&self.halves[start..start + 32]) {
                     *total = total.wrapping_add(*half);
@@ -373,13 +392,13 @@ impl Floor {
     }
 
     #[cfg(not(target_arch = "x86_64"))]
-    fn blend(&self, places: &[Place]) {
-        panic!("no floor for {} places: it is written for x86-64 alone", places.len());
+    fn blend(&self, places: &Places) {
+        panic!("no floor for {} places: it is written for x86-64 alone", places.positions.len());
     }
 
     #[cfg(not(target_arch = "x86_64"))]
-    fn touch(&self, places: &[Place]) {
-        black_box(places.iter().map(|(position, _)| self.locate(*position)).last());
+    fn touch(&self, places: &Places) {
+        black_box(places.positions.iter().map(|position| self.locate(*position)).last());
         black_box(&self.halves);
     }
 }

@@ -157,7 +157,8 @@ GdiblStatus gdibl_irradiance_f64(const GdiblVolume *volume,
                                  float irradiance[3]);
 
 // Irradiance at count positions with as many normals, x y z after x y z, into count times red green blue. The result may
-// be the array of positions or that of normals. Arrays of a count of 0 may be NULL.
+// be the array of positions or that of normals. Arrays of a count of 0 may be NULL. The same numbers as one call each, in less
+// time, and fastest where places in one cell of the volume follow each other.
 //
 // `volume` is NULL or alive; the others are NULL or have `3 * count` numbers. They are the same or do not overlap.
 GdiblStatus gdibl_irradiance_batch(const GdiblVolume *volume,

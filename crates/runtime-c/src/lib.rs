@@ -277,8 +277,12 @@ pub unsafe extern "C" fn gdibl_irradiance_f64(
     })
 }
 
+/// Places that are copied together.
+const PIECE: usize = 256;
+
 /// Irradiance at count positions with as many normals, x y z after x y z, into count times red green blue. The result may
-/// be the array of positions or that of normals. Arrays of a count of 0 may be NULL.
+/// be the array of positions or that of normals. Arrays of a count of 0 may be NULL. The same numbers as one call each, in less
+/// time, and fastest where places in one cell of the volume follow each other.
 ///
 /// # Safety
 /// `volume` is NULL or alive; the others are NULL or have `3 * count` numbers. They are the same or do not overlap.
@@ -296,13 +300,22 @@ pub unsafe extern "C" fn gdibl_irradiance_batch(
         if count > 0 && (positions.is_null() || normals.is_null() || irradiance.is_null()) {
             return Err(GdiblStatus::NullPointer);
         }
-        for index in 0..count {
-            // SAFETY: no array is NULL, so each has `3 * count` numbers, of which `index` is not the end. What was
-            // written before belongs to smaller indices.
-            unsafe {
-                let position = three(positions.add(3 * index))?;
-                let normal = three(normals.add(3 * index))?;
-                write(irradiance.add(3 * index).cast(), volume.irradiance(position, normal))?;
+        // Copied, a piece at a time, since the arrays may be the same.
+        let (mut some_positions, mut some_normals, mut found) =
+            ([[0.0; 3]; PIECE], [[0.0; 3]; PIECE], [[0.0; 3]; PIECE]);
+        for first in (0..count).step_by(PIECE) {
+            let piece = PIECE.min(count - first);
+            for k in 0..piece {
+                // SAFETY: no array is NULL, so each has `3 * count` numbers, of which `first + k` is not the end.
+                unsafe {
+                    some_positions[k] = three(positions.add(3 * (first + k)))?;
+                    some_normals[k] = three(normals.add(3 * (first + k)))?;
+                }
+            }
+            volume.irradiance_batch(&some_positions[..piece], &some_normals[..piece], &mut found[..piece]);
+            for (k, found) in found[..piece].iter().enumerate() {
+                // SAFETY: as above. What was written before belongs to smaller indices.
+                unsafe { write(irradiance.add(3 * (first + k)).cast(), *found)? };
             }
         }
         Ok(())

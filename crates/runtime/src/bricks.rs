@@ -103,6 +103,32 @@ pub struct Corners {
     pub shared: u8,
 }
 
+/// A leaf and its nodes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Located {
+    pub(crate) leaf: Leaf,
+    pub(crate) corners: Corners,
+}
+
+impl Located {
+    /// Whether a cell of the grid is part of the leaf.
+    #[inline]
+    pub(crate) fn holds(&self, cell: [u32; 3]) -> bool {
+        let Leaf { origin, level } = self.leaf;
+        (0..3).all(|axis| cell[axis] >> level << level == origin[axis])
+    }
+
+    /// The weights of the nodes at a place within a cell of the leaf, 0 to 1 per axis.
+    #[inline]
+    pub(crate) fn weights(&self, cell: [u32; 3], within: [f32; 3]) -> [f32; 8] {
+        let width = 1.0 / (1 << self.leaf.level) as f32;
+        let share = array::from_fn(|axis| ((cell[axis] - self.leaf.origin[axis]) as f32 + within[axis]) * width);
+        let mut weights = trilinear(share);
+        self.corners.spread(&mut weights);
+        weights
+    }
+}
+
 impl Corners {
     /// Trilinear weights of corners become weights of nodes.
     #[inline]
@@ -301,24 +327,20 @@ impl Bricks {
         Corners { nodes, hanging, shared }
     }
 
-    /// The nodes around a position in a box over which the places are spread, their weights, and the leaf it lies in; `finder` is that of
-    /// the places. Every position has an answer, as in [`Grid::locate`].
+    /// The leaf that a cell of the grid is part of, with its nodes.
     #[inline]
-    pub(crate) fn locate(&self, finder: &Finder, position: [f64; 3]) -> ([u32; 8], [f32; 8], Leaf) {
-        let (cell, within) = finder.cell_at(position);
+    pub(crate) fn located(&self, cell: [u32; 3]) -> Located {
         let leaf = self.leaf(cell);
-        let corners = self.corners(leaf);
-        let width = 1.0 / (1 << leaf.level) as f32;
-        let share = array::from_fn(|axis| ((cell[axis] - leaf.origin[axis]) as f32 + within[axis]) * width);
-        let mut weights = trilinear(share);
-        corners.spread(&mut weights);
-        (corners.nodes, weights, leaf)
+        Located { leaf, corners: self.corners(leaf) }
     }
 
-    /// The same as a [`Cell`].
+    /// The nodes around a position in a box over which the places are spread, and their weights; `finder` is that of the places. Every
+    /// position has an answer, as in [`Grid::locate`].
     pub(crate) fn cell(&self, grid: &Grid, position: [f64; 3]) -> Cell {
-        let (nodes, weights, _) = self.locate(&Finder::new(grid), position);
-        Cell { nodes, weights, inside: box_contains(grid.min, grid.max, position) }
+        let (cell, within) = Finder::new(grid).cell_at(position);
+        let located = self.located(cell);
+        let weights = located.weights(cell, within);
+        Cell { nodes: located.corners.nodes, weights, inside: box_contains(grid.min, grid.max, position) }
     }
 
     /// 38 words per brick for shaders, see [`gpu`](crate::gpu). `first` is where the record of the first cell with walls will be; there

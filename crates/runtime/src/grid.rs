@@ -132,6 +132,16 @@ impl Grid {
     }
 }
 
+/// From here on an f64 has no fraction: adding it rounds a smaller number to a whole one, which then stands in the lower half of
+/// the sum's bits. So do many in a row, where a conversion to an integer is done one by one.
+const TWO_TO_52: f64 = (1u64 << 52) as f64;
+
+/// A whole number below 2^32.
+#[inline(always)]
+fn whole(number: f64) -> u32 {
+    (number + TWO_TO_52).to_bits() as u32
+}
+
 /// What finding cells takes, of a grid: so that it takes no division.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Finder {
@@ -142,6 +152,7 @@ pub(crate) struct Finder {
     most: [f64; 3],
     /// From a node to the next.
     strides: [u32; 3],
+    strides_f64: [f64; 3],
     /// The same, but 0 on an axis with one node.
     steps: [u32; 3],
 }
@@ -158,6 +169,7 @@ impl Finder {
             }),
             most: last.map(|last| last.next_down().max(0.0)),
             strides,
+            strides_f64: strides.map(f64::from),
             steps: array::from_fn(|axis| if grid.counts[axis] > 1 { strides[axis] } else { 0 }),
         }
     }
@@ -165,23 +177,41 @@ impl Finder {
     /// The cell that holds a position, by its lowest node, and where in it the position is: 0 to 1 per axis.
     #[inline(always)]
     pub(crate) fn cell_at(&self, position: [f64; 3]) -> ([u32; 3], [f32; 3]) {
-        let mut lower = [0; 3];
-        let mut share = [0.0; 3];
+        let (mut lower, mut share) = ([0; 3], [0.0; 3]);
         for axis in 0..3 {
-            // In units of nodes. `max` and `min` of a NaN give the other operand.
-            let place = (position[axis] - self.min[axis]) * self.nodes_per_metre[axis];
-            let place = place.max(0.0).min(self.most[axis]);
-            lower[axis] = place as u32;
-            share[axis] = (place - f64::from(lower[axis])) as f32;
+            let (floor, rest) = self.along(axis, position[axis]);
+            (lower[axis], share[axis]) = (whole(floor), rest);
         }
         (lower, share)
     }
 
-    /// The lowest node of the cell that holds a position, and where in it the position is.
+    /// The lowest nodes of the cells that hold positions, and where in them these are; axis by axis.
     #[inline(always)]
-    pub(crate) fn lowest(&self, position: [f64; 3]) -> (u32, [f32; 3]) {
-        let (lower, share) = self.cell_at(position);
-        (self.index_of(lower), share)
+    pub(crate) fn lowest<const N: usize>(&self, positions: &[[f64; N]; 3]) -> ([u32; N], [[f32; N]; 3]) {
+        let (mut lowest, mut share) = ([0; N], [[0.0; N]; 3]);
+        for k in 0..N {
+            // Exact: there are fewer than 2^32 nodes.
+            let mut index = 0.0;
+            for axis in 0..3 {
+                let (floor, rest) = self.along(axis, positions[axis][k]);
+                index += floor * self.strides_f64[axis];
+                share[axis][k] = rest;
+            }
+            lowest[k] = whole(index);
+        }
+        (lowest, share)
+    }
+
+    /// Along an axis: the last node below a coordinate, and how far it is from there to the next, 0 to 1.
+    #[inline(always)]
+    fn along(&self, axis: usize, coordinate: f64) -> (f64, f32) {
+        let place = (coordinate - self.min[axis]) * self.nodes_per_metre[axis];
+        // As maxima and minima that give the other operand where one is no number; one instruction each.
+        let place = if place > 0.0 { place } else { 0.0 };
+        let place = if place < self.most[axis] { place } else { self.most[axis] };
+        let nearest = (place + TWO_TO_52) - TWO_TO_52;
+        let floor = nearest - if nearest > place { 1.0 } else { 0.0 };
+        (floor, (place - floor) as f32)
     }
 
     /// See [`Grid::index_of`].
@@ -216,22 +246,26 @@ impl Finder {
     /// See [`Grid::corners`].
     #[inline(always)]
     pub(crate) fn corners(&self, position: [f64; 3]) -> ([u32; 8], [f32; 8]) {
-        let (first, share) = self.lowest(position);
+        let ([first], share) = self.lowest(&position.map(|v| [v]));
         let [a, b, c, d, e, f, g, h] = self.corner_offsets();
         let node = |offset: u32| first.wrapping_add(offset);
-        ([node(a), node(b), node(c), node(d), node(e), node(f), node(g), node(h)], trilinear(share))
+        ([node(a), node(b), node(c), node(d), node(e), node(f), node(g), node(h)], trilinear(share.map(|[v]| v)))
     }
 }
 
 /// Weights of a cell's corners at a place in it, 0 to 1 per axis; 0 on an axis with one node.
 #[inline(always)]
 pub fn trilinear(share: [f32; 3]) -> [f32; 8] {
-    array::from_fn(|corner| {
-        let along = |axis: usize| {
-            if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] }
-        };
-        along(0) * along(1) * along(2)
-    })
+    array::from_fn(|corner| corner_weight(corner, share))
+}
+
+/// One of them.
+#[inline(always)]
+pub(crate) fn corner_weight(corner: usize, share: [f32; 3]) -> f32 {
+    let along = |axis: usize| {
+        if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] }
+    };
+    along(0) * along(1) * along(2)
 }
 
 /// Whether a position is in a box, its faces included, give or take a millionth of its size and the rounding of a

@@ -23,6 +23,8 @@
 //! For many normals at one place (a whole object), sample once and evaluate often:
 //! `let light = volume.sample(position, normal).sh.convolve();`, then `light.evaluate(normal)`.
 //!
+//! For many places at once: [`Volume::irradiance_batch`], the same numbers in two thirds of the time, or half.
+//!
 //! # Units and axes
 //! * World space is glTF's: right-handed, Y up, metres.
 //! * Colour is linear Rec.709: red, green, blue.
@@ -38,6 +40,7 @@
 //! | [`bricks`] | which nodes a sparse grid has, and which eight surround a position |
 //! | [`volume`] | a parsed file: coefficients per node, validity, positions |
 //! | [`sample`] | light at a position: trilinear in grids, nearest in points and vertices |
+//! | `batch` | the same at many positions at once |
 //! | [`walls`] | what keeps light on its side of walls between the nodes of a grid |
 //! | [`nearest`] | the nearest of many positions |
 //! | [`gpu`] | a grid as the buffers that the shaders in `shaders/` sample |
@@ -60,6 +63,7 @@ extern crate alloc;
 #[cfg(any(feature = "std", test))]
 extern crate std;
 
+mod batch;
 pub mod bricks;
 mod codec;
 mod crc32;

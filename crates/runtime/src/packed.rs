@@ -32,10 +32,10 @@
 use crate::RadianceSh;
 use crate::error::{Error, text};
 use crate::format::Header;
-use crate::half::{f16_is_finite, f32_to_f16};
+use crate::half::{f16_is_finite, f16_is_subnormal, f32_to_f16};
 use crate::math::square_root;
 use crate::sh::{COSINE, MAX_COEFFICIENTS, band_of};
-use crate::volume::{Coefficients, words_of};
+use crate::volume::{Coefficients, Numbers, words_of};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -221,7 +221,7 @@ const BLOCK: usize = 64;
 ///
 /// They become f16 with a power of two as scale that puts the brightest M to 2^11, so that no light overflows and from 2^-25 of that on
 /// f16 adds at most 2^-11 to the relative error. In volumes of more contrast, and where a number overflows all the same, f32.
-pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<(Coefficients, f32), Error> {
+pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<Numbers, Error> {
     let count = header.values_per_node() + 1;
     let (least, most) = range_of_codes(&bytes[..2 * header.node_count()])?;
     let exponent = (most - CODE_OF_1).div_euclid(PER_OCTAVE) + 1 - 11;
@@ -231,18 +231,24 @@ pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<(Coefficients, f32)
         let per_node = words_of(count - 1);
         let mut words = vec![0; header.node_count() * per_node];
         let mut rows = words.chunks_exact_mut(per_node);
-        let mut all_finite = true;
+        let (mut all_finite, mut subnormal, mut node) = (true, Vec::new(), 0);
         restore(bytes, header, count, &mut |node_values| {
+            let mut any_subnormal = false;
             for (word, pair) in rows.next().into_iter().flatten().zip(node_values.chunks(2)) {
                 for (k, value) in pair.iter().enumerate() {
                     let half = f32_to_f16(value * inverse);
                     all_finite &= f16_is_finite(half);
+                    any_subnormal |= f16_is_subnormal(half);
                     *word |= u32::from(half) << (16 * k);
                 }
             }
+            if any_subnormal {
+                subnormal.push(node);
+            }
+            node += 1;
         });
         if all_finite {
-            return Ok((Coefficients::F16(words), scale));
+            return Ok(Numbers { coefficients: Coefficients::F16(words), scale, subnormal });
         }
     }
     let mut values = vec![0.0; header.node_count() * (count - 1)];
@@ -252,7 +258,7 @@ pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<(Coefficients, f32)
             row.copy_from_slice(node_values);
         }
     });
-    Ok((Coefficients::F32(values), 1.0))
+    Ok(Numbers { coefficients: Coefficients::F32(values), scale: 1.0, subnormal: Vec::new() })
 }
 
 /// The least and the largest code of M of nodes that are not dark; [`CODE_OF_1`] twice if there is none.

@@ -14,7 +14,7 @@
 //!
 //! Every input has an answer: a coordinate that is no number counts as the box's min.
 
-use crate::bricks::Bricks;
+use crate::bricks::{Bricks, Located};
 use crate::grid::{box_contains, trilinear};
 use crate::half::{f16_to_f32, upper_f16_to_scaled_f32};
 use crate::math::square_root;
@@ -128,13 +128,13 @@ impl Volume {
             None => [x, y, z],
             Some(walls) => walls.off_surface([x, y, z], [u, v, w]),
         };
-        let (lowest, share) = self.finder.lowest(position);
+        let ([lowest], share) = self.finder.lowest(&position.map(|v| [v]));
         if self.marks.as_ref().is_some_and(|marks| marks[lowest as usize] & MIXED != 0) {
             return self.irradiance_of_mixed::<W, V>(x, y, z, u, v, w);
         }
         let pairs = pairs_of::<W>(all, self.finder.pairs(lowest));
         let factors = factors::<W, V>([u, v, w]);
-        irradiance(&blend_pairs(&pairs, &times_2_to_112(trilinear(share))), &factors, self.scale)
+        irradiance(&blend_pairs(&pairs, &times_2_to_112(trilinear(share.map(|[v]| v)))), &factors, self.scale)
     }
 
     /// In any cell, also of a sparse grid.
@@ -170,7 +170,7 @@ impl Volume {
 
     /// The nodes around a position, their weights, which add up to 1, and the share of valid nodes in them.
     #[inline(always)]
-    fn weights(&self, mut position: [f64; 3], normal: [f32; 3]) -> ([u32; 8], [f32; 8], f32) {
+    pub(crate) fn weights(&self, mut position: [f64; 3], normal: [f32; 3]) -> ([u32; 8], [f32; 8], f32) {
         if let Some(walls) = &self.walls {
             position = walls.off_surface(position, normal);
         }
@@ -191,14 +191,29 @@ impl Volume {
     /// The same in a sparse grid.
     #[inline(never)]
     fn sparse_weights(&self, bricks: &Bricks, position: [f64; 3]) -> ([u32; 8], [f32; 8], f32) {
-        let (nodes, mut weights, leaf) = bricks.locate(&self.finder, position);
+        let (cell, within) = self.finder.cell_at(position);
+        let located = bricks.located(cell);
+        let (weights, validity) = self.located_weights(&located, cell, within, position);
+        (located.corners.nodes, weights, validity)
+    }
+
+    /// The weights of a leaf's nodes at a position in it, off its surface, and the share of valid nodes in them.
+    #[inline]
+    pub(crate) fn located_weights(
+        &self,
+        located: &Located,
+        cell: [u32; 3],
+        within: [f32; 3],
+        position: [f64; 3],
+    ) -> ([f32; 8], f32) {
+        let mut weights = located.weights(cell, within);
         let mut validity = 1.0;
         if self.marks.is_some() || self.walls.is_some() {
             let marks = self.marks.as_deref().unwrap_or_default();
-            let cell = self.walls.is_some().then(|| self.finder.index_of(leaf.origin));
-            validity = self.mark_weights(marks, position, &nodes, &mut weights, cell);
+            let cell = self.walls.is_some().then(|| self.finder.index_of(located.leaf.origin));
+            validity = self.mark_weights(marks, position, &located.corners.nodes, &mut weights, cell);
         }
-        (nodes, weights, validity)
+        (weights, validity)
     }
 
     /// Changes the weights to those of valid nodes, that are seen where there are walls in the cell; returns the share of valid
@@ -294,7 +309,7 @@ impl Volume {
     }
 
     #[inline]
-    fn any_subnormal(&self, nodes: &[u32; 8]) -> bool {
+    pub(crate) fn any_subnormal(&self, nodes: &[u32; 8]) -> bool {
         let mark = |marks: &Vec<u8>| nodes.iter().fold(0, |any, &node| any | marks[node as usize]);
         self.marks.as_ref().is_some_and(|marks| mark(marks) & SUBNORMAL != 0)
     }
@@ -329,11 +344,16 @@ impl Volume {
     }
 }
 
+/// The words of a node.
+#[inline(always)]
+pub(crate) fn row_of<const W: usize>(all: &[u32], node: u32) -> &[u32; W] {
+    &all.as_chunks::<W>().0[node as usize]
+}
+
 /// The words of eight nodes.
 #[inline(always)]
 fn rows_of<'a, const W: usize>(all: &'a [u32], nodes: &[u32; 8]) -> [&'a [u32; W]; 8] {
-    let rows = all.as_chunks::<W>().0;
-    let row = |k: usize| &rows[nodes[k] as usize];
+    let row = |k: usize| row_of(all, nodes[k]);
     let rows = [row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)];
     touch(rows.iter().fold(0, |all, row| all ^ row[0] ^ row[W - 1]));
     rows
@@ -383,27 +403,44 @@ fn blend_pairs<const W: usize, const V: usize>(pairs: &[&[[u32; W]; 2]; 4], weig
 }
 
 /// See [`upper_f16_to_scaled_f32`].
+pub(crate) const TWO_TO_112: f32 = f32::from_bits((112 + 127) << 23);
+
 #[inline(always)]
-fn times_2_to_112(mut weights: [f32; 8]) -> [f32; 8] {
-    const TWO_TO_112: f32 = f32::from_bits((112 + 127) << 23);
+pub(crate) fn times_2_to_112(mut weights: [f32; 8]) -> [f32; 8] {
     weights.iter_mut().for_each(|weight| *weight *= TWO_TO_112);
     weights
 }
 
 #[inline(always)]
-fn add_row<const W: usize, const V: usize>(sums: &mut [[f32; 4]; V], row: &[u32; W], weight: f32) {
+pub(crate) fn add_row<const W: usize, const V: usize>(sums: &mut [[f32; 4]; V], row: &[u32; W], weight: f32) {
+    each_vector(row, sums, |sum, value| *sum += weight * value);
+}
+
+/// A row's values, times 2^-112, in the vectors of [`blend_plain`].
+#[inline(always)]
+pub(crate) fn decode_row<const W: usize, const V: usize>(row: &[u32; W], values: &mut [[f32; 4]; V]) {
+    each_vector(row, values, |to, value| *to = value);
+}
+
+/// Each of a row's values with what stands in its lane.
+#[inline(always)]
+fn each_vector<const W: usize, const V: usize>(
+    row: &[u32; W],
+    vectors: &mut [[f32; 4]; V],
+    then: impl Fn(&mut f32, f32),
+) {
     let (fours, rest) = row.as_chunks::<4>();
-    let (pairs, last) = sums.as_chunks_mut::<2>();
+    let (pairs, last) = vectors.as_chunks_mut::<2>();
     for (words, [even, odd]) in fours.iter().zip(pairs) {
         for lane in 0..4 {
-            even[lane] += weight * upper_f16_to_scaled_f32(words[lane] << 16);
-            odd[lane] += weight * upper_f16_to_scaled_f32(words[lane]);
+            then(&mut even[lane], upper_f16_to_scaled_f32(words[lane] << 16));
+            then(&mut odd[lane], upper_f16_to_scaled_f32(words[lane]));
         }
     }
     if let ([a, b], [last]) = (rest, last) {
         let words = [a << 16, b << 16, *a, *b];
         for lane in 0..4 {
-            last[lane] += weight * upper_f16_to_scaled_f32(words[lane]);
+            then(&mut last[lane], upper_f16_to_scaled_f32(words[lane]));
         }
     }
 }
@@ -417,6 +454,12 @@ fn factors<const W: usize, const V: usize>(normal: [f32; 3]) -> [[f32; 4]; V] {
     for k in 0..count {
         f[k] *= COSINE_OF[k];
     }
+    in_lanes(&f)
+}
+
+/// The same of the convolved basis.
+#[inline(always)]
+pub(crate) fn in_lanes<const V: usize>(f: &[f32; MAX_COEFFICIENTS]) -> [[f32; 4]; V] {
     let mut factors = [[0.0; 4]; V];
     let (sixes, rest) = factors.as_chunks_mut::<6>();
     for (six, f) in sixes.iter_mut().zip(f.as_chunks::<8>().0) {
@@ -449,14 +492,24 @@ fn factors<const W: usize, const V: usize>(normal: [f32; 3]) -> [[f32; 4]; V] {
 /// `convolve().evaluate(normal)` of radiance as [`blend_plain`] makes it, times `scale`.
 #[inline(always)]
 fn irradiance<const V: usize>(radiance: &[[f32; 4]; V], factors: &[[f32; 4]; V], scale: f32) -> [f32; 3] {
-    // Lanes of one vector after the other are: r b g r, g r b g, b g r b, and again.
+    sum_of_lanes(&products(radiance, factors).map(black_box), scale)
+}
+
+/// The sums of every third vector's products: lanes of one vector after the other are r b g r, g r b g, b g r b, and again.
+#[inline(always)]
+pub(crate) fn products<const V: usize>(radiance: &[[f32; 4]; V], factors: &[[f32; 4]; V]) -> [[f32; 4]; 3] {
     let mut sums = [[0.0; 4]; 3];
     for (k, (radiance, factors)) in radiance.iter().zip(factors).enumerate() {
         for lane in 0..4 {
             sums[k % 3][lane] += radiance[lane] * factors[lane];
         }
     }
-    let (a, b, c) = (black_box(sums[0]), black_box(sums[1]), black_box(sums[2]));
+    sums
+}
+
+/// What [`products`] come to, red green blue, times `scale`.
+#[inline(always)]
+pub(crate) fn sum_of_lanes([a, b, c]: &[[f32; 4]; 3], scale: f32) -> [f32; 3] {
     [
         scale * ((a[0] + a[3]) + (b[1] + c[2])),
         scale * ((a[2] + b[0]) + (b[3] + c[1])),

@@ -77,10 +77,12 @@ pub(crate) fn half_of(words: &[u32], k: usize) -> u16 {
     (words[k / 2] >> (16 * (k % 2))) as u16
 }
 
-/// Whether one of a word's two values is so.
-#[inline(always)]
-fn either(word: u32, is_so: impl Fn(u16) -> bool) -> bool {
-    is_so(word as u16) | is_so((word >> 16) as u16)
+/// What section `RSH ` says.
+pub(crate) struct Numbers {
+    pub(crate) coefficients: Coefficients,
+    pub(crate) scale: f32,
+    /// The nodes with subnormal f16.
+    pub(crate) subnormal: Vec<u32>,
 }
 
 /// Which nodes are the vertices of which part of the level.
@@ -131,13 +133,14 @@ impl Volume {
     /// code.)
     fn read(&mut self, sections: &Sections<'_>) -> Result<(), Error> {
         sections.check_kind()?;
-        (self.coefficients, self.scale) = sections.coefficients()?;
+        let numbers = sections.coefficients()?;
+        (self.coefficients, self.scale) = (numbers.coefficients, numbers.scale);
         self.bricks = sections.bricks()?;
         if let Some(bricks) = &self.bricks {
             self.finder = Finder::new(&Grid { counts: bricks.counts(), ..self.header.grid() });
         }
         self.walls = sections.walls(self.bricks.as_ref())?;
-        self.marks = marks(sections.validity()?, &self.coefficients, &self.header);
+        self.marks = marks(sections.validity()?, &numbers.subnormal, self.header.node_count());
         if let Some(marks) = self.marks.as_mut().filter(|_| cfg!(feature = "fast") && self.header.kind == Kind::Grid) {
             mark_mixed_cells(marks, &self.finder);
         }
@@ -312,32 +315,31 @@ impl Sections<'_> {
         Ok(())
     }
 
-    /// Node by node, and their scale.
-    fn coefficients(&self) -> Result<(Coefficients, f32), Error> {
+    /// Node by node.
+    fn coefficients(&self) -> Result<Numbers, Error> {
         let header = &self.directory.header;
         let bytes = self.directory.checked_section_bytes(RADIANCE)?;
         let bytes = bytes.unwrap_or_default();
         let (nodes, planes) = (header.node_count(), header.values_per_node());
-        let (coefficients, odd) = match header.encoding {
+        let (coefficients, subnormal, odd) = match header.encoding {
             Encoding::F16 => {
-                let words = interleave_halves(&bytes, nodes, planes);
-                let per_node = words_of(planes);
-                let is_odd = |bits| !f16_is_finite(bits);
-                let odd = position(&words, |word| either(word, is_odd)).map(|place| {
-                    let in_upper = usize::from(!is_odd(words[place] as u16));
-                    place / per_node * planes + 2 * (place % per_node) + in_upper
-                });
-                (Coefficients::F16(words), odd)
+                let (words, subnormal, all_finite) = interleave_halves(&bytes, nodes, planes);
+                let odd = || {
+                    (0..nodes * planes)
+                        .find(|k| !f16_is_finite(half_of(&words[k / planes * words_of(planes)..], k % planes)))
+                };
+                let odd = if all_finite { None } else { odd() };
+                (Coefficients::F16(words), subnormal, odd)
             }
             Encoding::F32 => {
                 let values = interleave(&bytes, nodes, planes);
-                let odd = position(&values, |value| !value.is_finite());
-                (Coefficients::F32(values), odd)
+                let odd = first_odd(&values);
+                (Coefficients::F32(values), Vec::new(), odd)
             }
             Encoding::Packed => return packed::parse(&bytes, header),
         };
         match odd {
-            None => Ok((coefficients, header.scale)),
+            None => Ok(Numbers { coefficients, scale: header.scale, subnormal }),
             Some(place) => Err(Error::invalid(
                 text!("section RSH , node {}, plane {}", place / planes, place % planes),
                 "infinity or NaN",
@@ -440,30 +442,19 @@ impl Sections<'_> {
     }
 }
 
-/// The first value that is `odd`.
-fn position<T: Copy>(values: &[T], odd: impl Fn(T) -> bool) -> Option<usize> {
+/// The first value that is not finite.
+fn first_odd(values: &[f32]) -> Option<usize> {
+    let is_odd = |value: &f32| !value.is_finite();
     // Without a branch over many, since in a whole file none is.
-    let block = values.chunks(1024).position(|block| block.iter().fold(false, |any, &value| any | odd(value)))?;
-    values[block * 1024..].iter().position(|&value| odd(value)).map(|place| block * 1024 + place)
+    let block = values.chunks(1024).position(|block| block.iter().fold(false, |any, value| any | is_odd(value)))?;
+    values[block * 1024..].iter().position(is_odd).map(|place| block * 1024 + place)
 }
 
 /// The marks of all nodes, from section `VALD` and the numbers.
-fn marks(validity: Option<Vec<u8>>, coefficients: &Coefficients, header: &Header) -> Option<Vec<u8>> {
+fn marks(validity: Option<Vec<u8>>, subnormal: &[u32], nodes: usize) -> Option<Vec<u8>> {
     let mut marks = validity;
-    if let Coefficients::F16(all) = coefficients {
-        let per_node = words_of(header.values_per_node());
-        let is_subnormal = |any, &word: &u32| any | either(word, f16_is_subnormal);
-        for (block, rows) in all.chunks(BLOCK * per_node).enumerate() {
-            // Without a branch over many, for there are hardly any.
-            if !rows.iter().fold(false, is_subnormal) {
-                continue;
-            }
-            for (place, row) in rows.chunks(per_node).enumerate() {
-                if row.iter().fold(false, is_subnormal) {
-                    marks.get_or_insert_with(|| vec![VALID; header.node_count()])[block * BLOCK + place] |= SUBNORMAL;
-                }
-            }
-        }
+    for &node in subnormal {
+        marks.get_or_insert_with(|| vec![VALID; nodes])[node as usize] |= SUBNORMAL;
     }
     marks
 }
@@ -482,13 +473,13 @@ fn mark_mixed_cells(marks: &mut [u8], finder: &Finder) {
     }
 }
 
-/// Nodes that are turned round together: 64 of 75 values of 4 bytes are 19 KB.
-const BLOCK: usize = 64;
+/// Nodes that are turned round together. With fewer, a plane's part is so short that processors do not fetch the next one ahead.
+const BLOCK: usize = 256;
 
 /// From planes of `nodes` 32-bit floats to `planes` values per node.
 ///
 /// Node by node would touch as many cache lines as there are planes for each; plane by plane as many as there are
-/// nodes. In blocks of nodes, what is written stays in the first-level cache and what is read comes in whole lines.
+/// nodes. In blocks of nodes, what is written stays in a near cache and what is read comes in whole lines.
 fn interleave(bytes: &[u8], nodes: usize, planes: usize) -> Vec<f32> {
     let elements = bytes.as_chunks::<4>().0;
     let mut values = vec![0.0; nodes * planes];
@@ -503,36 +494,58 @@ fn interleave(bytes: &[u8], nodes: usize, planes: usize) -> Vec<f32> {
     values
 }
 
-/// In place of a plane after the last one of an odd number.
-const NONE: [[u8; 2]; BLOCK] = [[0; 2]; BLOCK];
+/// Words of a node that are written together.
+const TOGETHER: usize = 4;
 
-/// The same of 16-bit floats, to [`words_of`].
-fn interleave_halves(bytes: &[u8], nodes: usize, planes: usize) -> Vec<u32> {
+/// The same of 16-bit floats, to [`words_of`]; with the nodes that have subnormal ones, and whether all are finite.
+fn interleave_halves(bytes: &[u8], nodes: usize, planes: usize) -> (Vec<u32>, Vec<u32>, bool) {
     let elements = bytes.as_chunks::<2>().0;
     let per_node = words_of(planes);
-    let mut words = vec![0; nodes * per_node];
-    let word = |&[a, b]: &[u8; 2], &[c, d]: &[u8; 2]| u32::from_le_bytes([a, b, c, d]);
+    let (mut words, mut subnormal, mut all_finite) = (vec![0; nodes * per_node], Vec::new(), true);
+    // The same word of many nodes, for some words.
+    let mut columns = [[0u32; BLOCK]; TOGETHER];
     for (block, rows) in words.chunks_mut(BLOCK * per_node).enumerate() {
         let count = rows.len() / per_node;
-        let column = |plane: usize| &elements[plane * nodes + block * BLOCK..][..count];
-        // Four planes at a time: as many reads, a quarter of the writes.
-        let mut plane = 0;
-        while cfg!(feature = "fast") && plane + 4 <= planes {
-            let [a, b, c, d] = [column(plane), column(plane + 1), column(plane + 2), column(plane + 3)];
-            for ((((row, a), b), c), d) in rows.chunks_exact_mut(per_node).zip(a).zip(b).zip(c).zip(d) {
-                row[plane / 2..plane / 2 + 2].copy_from_slice(&[word(a, b), word(c, d)]);
+        let plane = |plane: usize| &elements[plane * nodes + block * BLOCK..][..count];
+        let (mut most, mut least) = (0, i16::MAX);
+        for first in (0..per_node).step_by(TOGETHER) {
+            let columns = &mut columns[..TOGETHER.min(per_node - first)];
+            for (k, column) in columns.iter_mut().enumerate() {
+                let lower = 2 * (first + k);
+                // After the last plane of an odd number comes none.
+                let (upper, mask) = if lower + 1 < planes { (lower + 1, u32::MAX) } else { (lower, 0xffff) };
+                for ((word, lower), upper) in column.iter_mut().zip(plane(lower)).zip(plane(upper)) {
+                    let halves = [lower, upper].map(|bytes| u16::from_le_bytes(*bytes));
+                    for magnitude in halves.map(|half| (half & 0x7fff) as i16) {
+                        most = most.max(magnitude);
+                        // 0, which is not subnormal, becomes the largest.
+                        least = least.min((magnitude - 1) & 0x7fff);
+                    }
+                    *word = (u32::from(halves[0]) | u32::from(halves[1]) << 16) & mask;
+                }
             }
-            plane += 4;
+            if let [a, b, c, d] = columns {
+                for ((((row, a), b), c), d) in rows.chunks_exact_mut(per_node).zip(a).zip(b).zip(c).zip(d) {
+                    row[first..first + 4].copy_from_slice(&[*a, *b, *c, *d]);
+                }
+            } else {
+                for (k, column) in columns.iter().enumerate() {
+                    for (row, word) in rows.chunks_exact_mut(per_node).zip(column) {
+                        row[first + k] = *word;
+                    }
+                }
+            }
         }
-        while plane < planes {
-            let upper = if plane + 1 < planes { column(plane + 1) } else { &NONE[..count] };
-            for ((row, a), b) in rows.chunks_exact_mut(per_node).zip(column(plane)).zip(upper) {
-                row[plane / 2] = word(a, b);
-            }
-            plane += 2;
+        all_finite &= f16_is_finite(most as u16);
+        // As below, of the smallest but 0.
+        if f16_is_subnormal(least as u16 + 1) {
+            let is_subnormal = |word: &u32| f16_is_subnormal(*word as u16) || f16_is_subnormal((word >> 16) as u16);
+            let rows = rows.chunks_exact(per_node).enumerate();
+            let found = rows.filter(|(_, row)| row.iter().any(is_subnormal));
+            subnormal.extend(found.map(|(node, _)| (block * BLOCK + node) as u32));
         }
     }
-    words
+    (words, subnormal, all_finite)
 }
 
 #[cfg(test)]
@@ -541,9 +554,9 @@ mod tests {
 
     #[test]
     fn interleave_turns_planes_into_nodes() {
-        for nodes in [1, 3, 63, 64, 65, 200] {
+        for nodes in [1, 3, BLOCK - 1, BLOCK, BLOCK + 1, 600] {
             for planes in [3, 12, 27] {
-                let value = |plane: usize, node: usize| (plane * 1000 + node) as u16;
+                let value = |plane: usize, node: usize| (plane * 700 + node) as u16;
                 let (mut halves, mut floats) = (Vec::new(), Vec::new());
                 for plane in 0..planes {
                     for node in 0..nodes {
@@ -551,7 +564,7 @@ mod tests {
                         floats.extend_from_slice(&f32::from(value(plane, node)).to_le_bytes());
                     }
                 }
-                let words = interleave_halves(&halves, nodes, planes);
+                let (words, ..) = interleave_halves(&halves, nodes, planes);
                 let values = interleave(&floats, nodes, planes);
                 let per_node = words_of(planes);
                 assert_eq!((words.len(), values.len()), (nodes * per_node, nodes * planes));

@@ -8,26 +8,6 @@ use std::f32::consts::PI;
 
 const UP: [f32; 3] = [0.0, 1.0, 0.0];
 
-/// Section `WALL`, byte by byte.
-fn walls(planes: &[[f32; 4]], cells: &[(u32, [u16; 3], u8, [u8; 8])]) -> Section {
-    let mut bytes = Vec::new();
-    bytes.extend((planes.len() as u32).to_le_bytes());
-    bytes.extend((cells.len() as u32).to_le_bytes());
-    planes.iter().flatten().for_each(|value| bytes.extend(value.to_le_bytes()));
-    for (cell, planes, ends, masks) in cells {
-        bytes.extend(cell.to_le_bytes());
-        planes.iter().for_each(|plane| bytes.extend(plane.to_le_bytes()));
-        bytes.extend([*ends, 0]);
-        bytes.extend(masks);
-    }
-    raw(b"WALL", bytes)
-}
-
-const NONE: u16 = u16::MAX;
-/// Corners of lower x, and of higher.
-const LOW: u8 = 0b0101_0101;
-const HIGH: u8 = !LOW;
-
 /// Four nodes along x at -1, 1/3, 5/3, 3, two on each other axis. Light 1 in the first two columns, 5 in the others.
 fn two_rooms() -> File {
     grid([4, 2, 2], 0, 0, 1.0).radiance(|node, _, _| if node % 4 < 2 { 1.0 } else { 5.0 } * (4.0 * PI).sqrt())

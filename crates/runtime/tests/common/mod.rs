@@ -251,3 +251,52 @@ pub fn small_sparse() -> File {
     }
     file.radiance(pattern).section(raw(b"BRIK", bricks))
 }
+
+/// Section `WALL`, byte by byte.
+pub fn walls(planes: &[[f32; 4]], cells: &[(u32, [u16; 3], u8, [u8; 8])]) -> Section {
+    let mut bytes = Vec::new();
+    bytes.extend((planes.len() as u32).to_le_bytes());
+    bytes.extend((cells.len() as u32).to_le_bytes());
+    planes.iter().flatten().for_each(|value| bytes.extend(value.to_le_bytes()));
+    for (cell, planes, ends, masks) in cells {
+        bytes.extend(cell.to_le_bytes());
+        planes.iter().for_each(|plane| bytes.extend(plane.to_le_bytes()));
+        bytes.extend([*ends, 0]);
+        bytes.extend(masks);
+    }
+    raw(b"WALL", bytes)
+}
+
+/// No further plane.
+pub const NONE: u16 = u16::MAX;
+/// Corners of lower x, and of higher.
+pub const LOW: u8 = 0b0101_0101;
+pub const HIGH: u8 = !LOW;
+
+/// Arbitrary, as a function of its arguments: 0 to 1.
+pub fn arbitrary(seed: usize, node: usize, index: usize, channel: usize) -> f32 {
+    let mut bits = (((seed * 1009 + node) * 25 + index) * 3 + channel) as u32;
+    for _ in 0..3 {
+        bits = (bits ^ bits >> 15).wrapping_mul(0x2c1b_3c6d);
+    }
+    (bits >> 8) as f32 / (1 << 24) as f32
+}
+
+/// All bands and encodings, all numbers of arbitrary magnitude down to f16's subnormals, or none of them subnormal; all
+/// nodes valid, or most, or some, or none.
+pub fn arbitrary_grids() -> Vec<File> {
+    let mut files = Vec::new();
+    for seed in 0..60 {
+        let (bands, encoding, scale) = [(seed as u32 % 5, 0, 1.0), (seed as u32 % 5, 1, 0.125)][seed / 5 % 2];
+        let small = seed / 10 % 2 == 1;
+        let value = move |node: usize, index: usize, channel: usize| {
+            let [sign, size, exponent] = [0, 1, 2].map(|k| arbitrary(3 * seed + k, node, index, channel));
+            let exponent = if small { -23.0 + 36.0 * exponent } else { exponent };
+            (0.5 + size).copysign(sign - 0.5) * exponent.exp2() * scale
+        };
+        let file = grid([4, 3, 3], bands, encoding, scale).radiance(value);
+        let valid = |part: f32| file.clone().validity(move |node| arbitrary(seed, node, 0, 0) < part);
+        files.extend([file.clone(), valid(0.97), valid(0.7), valid(0.0)]);
+    }
+    files
+}

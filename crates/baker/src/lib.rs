@@ -12,6 +12,7 @@
 //! with them writes `diffuse = albedo / PI * irradiance` (see `gdibl_runtime::sh`).
 
 pub mod analyse;
+mod angle;
 pub mod bake;
 pub mod bands;
 pub mod capture;

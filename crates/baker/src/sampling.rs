@@ -5,7 +5,8 @@
 //! spread is an honest standard error (Owen, "Monte Carlo theory, methods and examples", 2013, ch. 17).
 
 use glam::Vec3;
-use std::f32::consts::TAU;
+
+use crate::angle::sine_cosine;
 
 /// Where sample points come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -97,14 +98,15 @@ pub fn uniform_sphere(point: [f32; 2]) -> Vec3 {
     // Height in f64: near the poles 1 - y² cancels.
     let y = 1.0 - 2.0 * f64::from(point[0]);
     let radius = (1.0 - y * y).max(0.0).sqrt() as f32;
-    let (sin, cos) = (TAU * point[1]).sin_cos();
-    Vec3::new(radius * sin, y as f32, radius * cos)
+    let (sin, cos) = sine_cosine(f64::from(point[1]));
+    Vec3::new(radius * sin as f32, y as f32, radius * cos as f32)
 }
 
 /// Direction around unit `normal` with density cosθ/π (Malley: a disk, lifted).
 pub fn cosine_hemisphere(normal: Vec3, point: [f32; 2]) -> Vec3 {
     let radius = point[0].sqrt();
-    let (sin, cos) = (TAU * point[1]).sin_cos();
+    let (sin, cos) = sine_cosine(f64::from(point[1]));
+    let (sin, cos) = (sin as f32, cos as f32);
     let (tangent, bitangent) = normal.any_orthonormal_pair();
     let direction = tangent * (radius * cos) + bitangent * (radius * sin) + normal * (1.0 - point[0]).max(0.0).sqrt();
     direction.normalize()

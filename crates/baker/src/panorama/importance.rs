@@ -9,6 +9,8 @@
 use glam::Vec3;
 use std::f64::consts::PI;
 
+use crate::angle::sine_cosine;
+
 use super::tiles::{Cell, TileChoice, Tiles, choose};
 use super::{Panorama, brightness};
 
@@ -129,10 +131,9 @@ impl Importance {
         let y = linear(v, a + b, c + d);
         let x = linear(u, a + (c - a) * y, b + (d - b) * y);
         let (top, height) = (self.row_top(row), self.row_height(row));
-        let latitude = PI * (0.5 - (top + y * height));
-        let longitude = 2.0 * PI * (0.5 - (column as f64 + 0.5 + x) / self.width as f64);
-        let (sin, cos) = latitude.sin_cos();
-        let direction = glam::DVec3::new(cos * longitude.sin(), sin, cos * longitude.cos()).as_vec3();
+        let (sin, cos) = sine_cosine(0.25 - 0.5 * (top + y * height));
+        let (across, along) = sine_cosine(0.5 - (column as f64 + 0.5 + x) / self.width as f64);
+        let direction = glam::DVec3::new(cos * across, sin, cos * along).as_vec3();
         let light = (a + (b - a) * x) * (1.0 - y) + (c + (d - c) * x) * y;
         (direction, self.density_at(cos, light))
     }
@@ -148,7 +149,7 @@ impl Importance {
         let y = ((v - self.row_top(row)) / self.row_height(row)).clamp(0.0, 1.0);
         let [a, b, c, d] = self.corners(row, column).map(f64::from);
         let light = (a + (b - a) * x) * (1.0 - y) + (c + (d - c) * x) * y;
-        let density = self.density_at((PI * (0.5 - v)).cos(), light);
+        let density = self.density_at(sine_cosine(0.25 - 0.5 * v).1, light);
         (density, self.tiles.of_cell(row, column))
     }
 

@@ -32,6 +32,8 @@ use std::f64::consts::PI;
 
 use glam::Vec3;
 
+use crate::angle::arctangent;
+
 pub use convert::{from_lat_long, to_lat_long};
 pub(crate) use grid::PixelGrid;
 pub use image::Image;
@@ -154,12 +156,15 @@ impl Panorama {
     /// (u, v) of a direction of any length, u and v in 0..=1 (u = 1 is the seam again). Total: a pole has u = 0.5,
     /// and so has the zero vector, with v = 0.5; a vector that is not finite counts as zero.
     pub fn uv(direction: Vec3) -> (f32, f32) {
-        // Scaled by the largest component, so that neither 1e-30 nor 1e30 leaves the range of f32.
         let largest = direction.abs().max_element();
-        let d = if largest > 0.0 && direction.is_finite() { direction / largest } else { Vec3::ZERO };
-        let horizontal = (d.x * d.x + d.z * d.z).sqrt();
-        let longitude = if horizontal > 0.0 { d.x.atan2(d.z) } else { 0.0 };
-        let latitude = d.y.atan2(horizontal);
+        let d = match largest {
+            1e-15..=1e15 => direction,
+            // Scaled by the largest component, so that neither 1e-30 nor 1e30 leaves the range of f32.
+            _ if largest > 0.0 && direction.is_finite() => direction / largest,
+            _ => Vec3::ZERO,
+        };
+        let longitude = arctangent(d.x, d.z);
+        let latitude = arctangent(d.y, (d.x * d.x + d.z * d.z).sqrt());
         let u = 0.5 - longitude * (0.5 * std::f32::consts::FRAC_1_PI);
         let v = 0.5 - latitude * std::f32::consts::FRAC_1_PI;
         (u.clamp(0.0, 1.0), v.clamp(0.0, 1.0))
@@ -179,11 +184,11 @@ impl Panorama {
         // Pixel centres are at i + ½.
         let px = u * self.width as f32 - 0.5;
         let py = (v * self.height as f32 - 0.5).clamp(0.0, (self.height - 1) as f32);
-        let (left, top) = (px.floor(), py.floor());
-        let (fx, fy) = (px - left, py - top);
-        let x0 = if left < 0.0 { self.width - 1 } else { (left as usize).min(self.width - 1) };
+        // Both are at least 0 here, so that cutting off is rounding down: for that processors have an instruction from the start.
+        let (after, y0) = ((px + 1.0) as usize, py as usize);
+        let (fx, fy) = ((px + 1.0) - after as f32, py - y0 as f32);
+        let x0 = if after == 0 { self.width - 1 } else { (after - 1).min(self.width - 1) };
         let x1 = if x0 + 1 == self.width { 0 } else { x0 + 1 };
-        let y0 = top as usize;
         let y1 = (y0 + 1).min(self.height - 1);
         let tap = |x: usize, y: usize, weight: f32| Tap { index: y * self.width + x, x, y, weight };
         [

@@ -7,6 +7,7 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 use super::Panorama;
+use crate::angle::sine_cosine;
 
 /// Most sectors and bands. About 11° on a side: L2 tells no finer, and 2048 rays are four to a tile.
 const MOST: [usize; 2] = [32, 16];
@@ -23,6 +24,8 @@ pub struct Tiles {
     /// Sector of every cell column, band of every cell row.
     sectors: Vec<u8>,
     bands: Vec<u8>,
+    /// Sine of the latitude at the upper and the lower edge of every band.
+    edges: Vec<[f64; 2]>,
 }
 
 /// A cell, and a place in it.
@@ -43,7 +46,21 @@ impl Tiles {
         let of = |cells: usize, parts: usize| {
             (0..parts).flat_map(move |part| std::iter::repeat_n(part as u8, range(part, cells, parts).len())).collect()
         };
-        Tiles { width, height, across, down, sectors: of(width, across), bands: of(height + 1, down) }
+        let edge = |row: usize| match row {
+            0 => 1.0,
+            row if row > height => -1.0,
+            row => (PI * (0.5 - (row as f64 - 0.5) / height as f64)).sin(),
+        };
+        let edges = (0..down).map(|band| range(band, height + 1, down)).map(|rows| [edge(rows.start), edge(rows.end)]);
+        Tiles {
+            width,
+            height,
+            across,
+            down,
+            sectors: of(width, across),
+            bands: of(height + 1, down),
+            edges: edges.collect(),
+        }
     }
 
     /// How many.
@@ -92,30 +109,31 @@ impl Tiles {
         let (u, v) = Panorama::uv(direction);
         let v = f64::from(v);
         let px = f64::from(u) * self.width as f64 - 0.5;
-        let left = px.floor();
+        // At least -1/2.
+        let after = (px + 1.0) as usize;
         Cell {
             row: ((v * self.height as f64 + 0.5) as usize).min(self.height),
-            column: left.rem_euclid(self.width as f64) as usize % self.width,
-            x: px - left,
+            column: if after == 0 { self.width - 1 } else { (after - 1) % self.width },
+            x: (px + 1.0) - after as f64,
             v,
         }
     }
 
     /// Share of the sphere, 0..=1: sectors times heights (Archimedes).
     pub fn solid_angle_share(&self, tile: usize) -> f64 {
-        let [top, bottom] = self.edges(tile);
+        let [top, bottom] = self.edges[tile / self.across];
         (top - bottom) * 0.5 * self.columns(tile).len() as f64 / self.width as f64
     }
 
     /// A direction in a tile, uniform over its solid angle.
     pub fn uniform_in(&self, tile: usize, [down, across]: [f64; 2]) -> Vec3 {
-        let [top, bottom] = self.edges(tile);
+        let [top, bottom] = self.edges[tile / self.across];
         let sin = top + (bottom - top) * down;
         let cos = (1.0 - sin * sin).max(0.0).sqrt();
         let columns = self.columns(tile);
         let column = columns.start as f64 + 0.5 + columns.len() as f64 * across;
-        let longitude = 2.0 * PI * (0.5 - column / self.width as f64);
-        DVec3::new(cos * longitude.sin(), sin, cos * longitude.cos()).as_vec3()
+        let (across, along) = sine_cosine(0.5 - column / self.width as f64);
+        DVec3::new(cos * across, sin, cos * along).as_vec3()
     }
 
     /// Tiles that share an edge with one; over the poles there is none.
@@ -126,16 +144,6 @@ impl Tiles {
         let above = (y > 0).then(|| at(x, y - 1));
         let below = (y + 1 < self.down).then(|| at(x, y + 1));
         aside.into_iter().flatten().chain(above).chain(below)
-    }
-
-    /// Sine of the latitude at the upper and the lower edge.
-    fn edges(&self, tile: usize) -> [f64; 2] {
-        let rows = self.rows(tile);
-        [rows.start, rows.end].map(|row| match row {
-            0 => 1.0,
-            row if row > self.height => -1.0,
-            row => (PI * (0.5 - (row as f64 - 0.5) / self.height as f64)).sin(),
-        })
     }
 }
 

@@ -142,7 +142,8 @@ impl Guide {
             Technique::Sky => {
                 let sky = self.sky_at_nodes().expect("without a sky no direction goes there");
                 let (tile, point) = outlook.sky.choose(point);
-                sky.sample_in(tile, point)
+                let (direction, density) = sky.sample_in(tile, point);
+                return (direction, outlook.weight(tile, density, self.emitters_density(origin, direction)));
             }
             Technique::Emitters => {
                 let emitters = self.emitters.as_ref().expect("without emitters no direction goes there");

@@ -117,9 +117,10 @@ impl SkyImportance {
         (self.to_local.transpose() * local, density)
     }
 
-    /// A direction (world) in a tile, by the light in it.
-    pub fn sample_in(&self, tile: usize, point: [f64; 2]) -> Vec3 {
-        self.to_local.transpose() * self.importance.sample_in(tile, point).0
+    /// A direction (world) in a tile, by the light in it, and the density per steradian that [`SkyImportance::sample`] returns it with.
+    pub fn sample_in(&self, tile: usize, point: [f64; 2]) -> (Vec3, f32) {
+        let (local, density) = self.importance.sample_in(tile, point);
+        (self.to_local.transpose() * local, density)
     }
 
     /// Density per steradian with which [`SkyImportance::sample`] returns `direction`.

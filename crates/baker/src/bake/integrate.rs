@@ -22,7 +22,7 @@ use std::f64::consts::PI;
 
 use super::directions::DirectionMap;
 use crate::Interrupted;
-use crate::radiance::{Glance, GlanceSums, Guide, Outlook, PathContext, Radiance, Technique, UNIFORM_SHARE};
+use crate::radiance::{Glance, GlanceSums, Guide, Outlook, PathContext, Radiance, Technique, UNIFORM_SHARE, Vantage};
 use crate::sampling::{Sampler, Stream, fibonacci_sphere, uniform_sphere};
 
 /// Independent replicates per node. Few, because a long low-discrepancy sequence is worth more than short ones: in the box
@@ -146,6 +146,7 @@ struct First {
 /// One node on its way.
 struct Course<'a> {
     place: &'a Place,
+    vantage: Vantage,
     context: PathContext,
     /// Of each replicate.
     firsts: Vec<Vec<First>>,
@@ -185,7 +186,7 @@ impl Integrator {
         let replicates = u64::from(REPLICATES).min(first_round) as u32;
         let mut courses = Vec::new();
         for place in places {
-            courses.push(self.first_directions(place, first_round, replicates, &radiance)?);
+            courses.push(self.first_directions(guide, place, first_round, replicates, &radiance)?);
         }
         let mut estimates = Vec::new();
         for number in 0..places.len() {
@@ -218,6 +219,7 @@ impl Integrator {
     /// Sends the first uniform directions of a node.
     fn first_directions<'a>(
         &self,
+        guide: &Guide,
         place: &'a Place,
         samples: u64,
         replicates: u32,
@@ -225,7 +227,8 @@ impl Integrator {
     ) -> Result<Course<'a>, Interrupted> {
         let context = PathContext::new(place.sequence.stream(0, Technique::Uniform));
         let firsts = vec![Vec::new(); replicates as usize];
-        let mut course = Course { place, context, firsts, outlooks: Vec::new() };
+        let vantage = guide.vantage(place.origin, samples);
+        let mut course = Course { place, vantage, context, firsts, outlooks: Vec::new() };
         if !self.settings.importance {
             return Ok(course);
         }
@@ -286,7 +289,7 @@ impl Integrator {
         range: [u32; 2],
         radiance: &impl Fn(Vec3, Vec3, &mut PathContext) -> Option<Radiance>,
     ) -> Result<(), Interrupted> {
-        let Course { place, context, firsts, outlooks } = course;
+        let Course { place, vantage, context, firsts, outlooks } = course;
         let (outlook, firsts) = (&outlooks[replicate as usize], &firsts[replicate as usize]);
         let rounding = place.sequence.rounding(replicate);
         let [from, to] = range.map(|samples| quotas(outlook.shares(), samples, rounding));
@@ -297,12 +300,12 @@ impl Integrator {
                 let first = firsts.get(sample as usize);
                 let (direction, weight, arriving) = match first.filter(|_| technique == Technique::Uniform) {
                     Some(First { glance, arriving }) => {
-                        (glance.direction, guide.weight(outlook, place.origin, glance.direction), *arriving)
+                        (glance.direction, guide.weight(outlook, vantage, glance.direction), *arriving)
                     }
                     None => {
                         context.sample = sample;
                         let point = context.point(0);
-                        let (direction, weight) = guide.propose(outlook, technique, place.origin, point);
+                        let (direction, weight) = guide.propose(outlook, technique, vantage, point);
                         if weight == 0.0 {
                             continue;
                         }

@@ -61,10 +61,21 @@ struct Branch {
 
 /// Who is to be lit: a node from all sides, a surface on the side of its normal.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Receiver {
+pub(super) struct Receiver<'a> {
     /// Trace space.
     pub position: Vec3,
     pub normal: Option<Vec3>,
+    /// [`Emitters::shares`] of it, where it draws often.
+    pub shares: Option<&'a Shares>,
+}
+
+/// What the whole tree is to one receiver.
+#[derive(Debug)]
+pub(super) struct Shares {
+    /// Of each branch with children: probability of the first, given the branch; `None` where neither can light the receiver.
+    first: Vec<Option<f32>>,
+    /// Of each emitter: probability to be drawn.
+    emitters: Vec<f32>,
 }
 
 /// A point that was drawn.
@@ -201,32 +212,56 @@ impl Emitters {
         }
     }
 
+    /// What drawing for a receiver asks of the tree, asked once. Pays from about as many draws on as there are emitters.
+    pub fn shares(&self, receiver: &Receiver) -> Shares {
+        let mut shares = Shares { first: vec![None; self.branches.len()], emitters: vec![0.0; self.len()] };
+        let mut probability = vec![0.0; self.branches.len()];
+        probability[0] = if self.branches[0].importance(receiver) > 0.0 { 1.0 } else { 0.0 };
+        // Children stand behind their parents.
+        for (at, branch) in self.branches.iter().enumerate() {
+            let first = branch.first as usize;
+            if branch.is_leaf {
+                shares.emitters[first] = probability[at];
+            } else if let (true, Some(share)) = (probability[at] > 0.0, self.first_share(at, receiver)) {
+                shares.first[at] = Some(share);
+                probability[first] = probability[at] * share;
+                probability[first + 1] = probability[at] * (1.0 - share);
+            }
+        }
+        shares
+    }
+
     /// Probability of the first child of a branch; `None` where neither can light the receiver.
-    fn first_share(&self, branch: &Branch, receiver: &Receiver) -> Option<f32> {
-        let [a, b] = [0, 1].map(|i| self.branches[branch.first as usize + i].importance(receiver));
+    fn first_share(&self, at: usize, receiver: &Receiver) -> Option<f32> {
+        if let Some(shares) = receiver.shares {
+            return shares.first[at];
+        }
+        let first = self.branches[at].first as usize;
+        let [a, b] = [first, first + 1].map(|child| self.branches[child].importance(receiver));
         (a + b > 0.0).then(|| a / (a + b))
     }
 
     /// A point for a point of the unit square; `None` where no emitter can light the receiver.
     pub fn draw(&self, receiver: &Receiver, [first, second]: [f32; 2]) -> Option<EmitterPoint> {
         let (mut left, mut probability) = (f64::from(first), 1.0);
-        let mut branch = &self.branches[0];
-        if branch.importance(receiver) <= 0.0 {
+        let mut at = 0;
+        if receiver.shares.is_none() && self.branches[0].importance(receiver) <= 0.0 {
             return None;
         }
-        while !branch.is_leaf {
+        while !self.branches[at].is_leaf {
             // What is left of the number goes on.
-            let share = self.first_share(branch, receiver)?;
+            let share = self.first_share(at, receiver)?;
             let second = left >= f64::from(share);
             let own = if second { 1.0 - share } else { share };
             left = ((left - if second { f64::from(share) } else { 0.0 }) / f64::from(own)).clamp(0.0, 1.0);
             probability *= own;
-            branch = &self.branches[branch.first as usize + usize::from(second)];
+            at = self.branches[at].first as usize + usize::from(second);
         }
+        let number = self.branches[at].first;
         // Uniform over a triangle: (1 - √ξ1, ξ2 √ξ1) (Turk, "Generating Random Points in Triangles", 1990).
         let root = (left as f32).sqrt();
         let barycentric = Vec2::new(1.0 - root, second * root);
-        let emitter = &self.emitters[branch.first as usize];
+        let emitter = &self.emitters[number as usize];
         let [a, b, c] = emitter.corners;
         Some(EmitterPoint {
             position: a * (1.0 - barycentric.x - barycentric.y) + b * barycentric.x + c * barycentric.y,
@@ -234,54 +269,68 @@ impl Emitters {
             triangle: emitter.triangle,
             barycentric,
             density: probability / emitter.area,
-            emitter: branch.first,
+            emitter: number,
         })
     }
 
     /// Density per square trace unit with which [`Emitters::draw`] returns a point of an emitter.
     pub fn density_on(&self, number: u32, receiver: &Receiver) -> f32 {
-        let mut at = self.leaf[number as usize];
         let mut density = 1.0 / self.emitters[number as usize].area;
+        if let Some(shares) = receiver.shares {
+            return density * shares.emitters[number as usize];
+        }
+        let mut at = self.leaf[number as usize];
         if self.branches[0].importance(receiver) <= 0.0 {
             return 0.0;
         }
         while at != 0 {
             let parent = self.branches[at as usize].parent;
-            let branch = &self.branches[parent as usize];
-            let Some(share) = self.first_share(branch, receiver) else { return 0.0 };
-            density *= if at == branch.first { share } else { 1.0 - share };
+            let Some(share) = self.first_share(parent as usize, receiver) else { return 0.0 };
+            density *= if at == self.branches[parent as usize].first { share } else { 1.0 - share };
             at = parent;
         }
         density
     }
 
     /// A direction toward an emitter, and the density per steradian of all that lie along it, hidden ones too; `None`
-    /// where no emitter can light `origin`.
-    pub fn sample_direction(&self, origin: Vec3, point: [f32; 2]) -> Option<(Vec3, f32)> {
-        let drawn = self.draw(&Receiver { position: origin, normal: None }, point)?;
-        let direction = (drawn.position - origin).try_normalize()?;
+    /// where no emitter can light the receiver.
+    pub fn sample_direction(&self, receiver: &Receiver, point: [f32; 2]) -> Option<(Vec3, f32)> {
+        let drawn = self.draw(receiver, point)?;
+        let line = drawn.position - receiver.position;
+        let direction = line.try_normalize()?;
         // Its own share is computed, not traced: a point on its edge may be missed by rounding.
-        let own = solid_angle_density(drawn.density, drawn.position - origin, drawn.normal);
-        Some((direction, own + self.direction_density(origin, direction, Some(drawn.emitter))))
+        let own = solid_angle_density(drawn.density, line, drawn.normal);
+        Some((direction, own + self.direction_density(receiver, direction, Some(drawn.emitter))))
     }
 
     /// Density per steradian with which [`Emitters::sample_direction`] returns `direction`.
-    pub fn density(&self, origin: Vec3, direction: Vec3) -> f32 {
-        self.direction_density(origin, direction, None)
+    pub fn density(&self, receiver: &Receiver, direction: Vec3) -> f32 {
+        self.direction_density(receiver, direction, None)
     }
 
-    fn direction_density(&self, origin: Vec3, direction: Vec3, except: Option<u32>) -> f32 {
-        let receiver = Receiver { position: origin, normal: None };
+    fn direction_density(&self, receiver: &Receiver, direction: Vec3, except: Option<u32>) -> f32 {
         let mut sum = 0.0;
-        self.tree.any(origin, direction, 0.0, f32::INFINITY, |hit| {
+        self.tree.any(receiver.position, direction, 0.0, f32::INFINITY, |hit| {
             if Some(hit.triangle) != except {
                 let normal = self.emitters[hit.triangle as usize].normal();
-                let density = self.density_on(hit.triangle, &receiver);
+                let density = self.density_on(hit.triangle, receiver);
                 sum += solid_angle_density(density, direction * hit.t, normal);
             }
             true
         });
         sum
+    }
+}
+
+impl Receiver<'_> {
+    /// From all sides.
+    pub fn node(position: Vec3) -> Receiver<'static> {
+        Receiver { position, normal: None, shares: None }
+    }
+
+    /// On the side of its normal.
+    pub fn surface(position: Vec3, normal: Vec3) -> Receiver<'static> {
+        Receiver { position, normal: Some(normal), shares: None }
     }
 }
 

@@ -6,7 +6,7 @@
 
 use glam::{Mat3, Vec3};
 
-use super::emitters::{Emitter, Emitters};
+use super::emitters::{Emitter, Emitters, Receiver, Shares};
 use super::outlook::{Glance, GlanceSums, Outlook};
 use super::sky::{Distant, SkyImportance};
 use crate::panorama::Tiles;
@@ -46,6 +46,21 @@ pub struct Guide {
     /// Of directions turned by `to_local`.
     tiles: Tiles,
     to_local: Mat3,
+}
+
+/// A place that directions leave.
+#[derive(Debug)]
+pub struct Vantage {
+    /// Trace space.
+    origin: Vec3,
+    /// What the emitters are to it.
+    shares: Option<Shares>,
+}
+
+impl Vantage {
+    fn receiver(&self) -> Receiver<'_> {
+        Receiver { shares: self.shares.as_ref(), ..Receiver::node(self.origin) }
+    }
 }
 
 impl Guide {
@@ -130,9 +145,15 @@ impl Guide {
         outlook
     }
 
-    /// A direction from `origin` (trace space) by one technique, for a point of the unit square, and w = 1/(4π p) of it, p
-    /// being the density of all techniques together; w = 0 where there is none.
-    pub fn propose(&self, outlook: &Outlook, technique: Technique, origin: Vec3, point: [f32; 2]) -> (Vec3, f32) {
+    /// A place (trace space) that about so many directions leave.
+    pub fn vantage(&self, origin: Vec3, directions: u64) -> Vantage {
+        let asked = self.emitters.as_ref().filter(|emitters| emitters.len() as u64 <= directions);
+        Vantage { origin, shares: asked.map(|emitters| emitters.shares(&Receiver::node(origin))) }
+    }
+
+    /// A direction by one technique, for a point of the unit square, and w = 1/(4π p) of it, p being the density of all
+    /// techniques together; w = 0 where there is none.
+    pub fn propose(&self, outlook: &Outlook, technique: Technique, from: &Vantage, point: [f32; 2]) -> (Vec3, f32) {
         let direction = match technique {
             Technique::Uniform => uniform_sphere(point),
             Technique::Surfaces => {
@@ -143,11 +164,11 @@ impl Guide {
                 let sky = self.sky_at_nodes().expect("without a sky no direction goes there");
                 let (tile, point) = outlook.sky.choose(point);
                 let (direction, density) = sky.sample_in(tile, point);
-                return (direction, outlook.weight(tile, density, self.emitters_density(origin, direction)));
+                return (direction, outlook.weight(tile, density, self.emitters_density(&from.receiver(), direction)));
             }
             Technique::Emitters => {
                 let emitters = self.emitters.as_ref().expect("without emitters no direction goes there");
-                let Some((direction, density)) = emitters.sample_direction(origin, point) else {
+                let Some((direction, density)) = emitters.sample_direction(&from.receiver(), point) else {
                     // None can light this place; their share of the samples is lost.
                     return (Vec3::Y, 0.0);
                 };
@@ -155,13 +176,13 @@ impl Guide {
                 return (direction, outlook.weight(tile, sky, density));
             }
         };
-        (direction, self.weight(outlook, origin, direction))
+        (direction, self.weight(outlook, from, direction))
     }
 
     /// w = 1/(4π p) of a direction, by whatever technique it came.
-    pub fn weight(&self, outlook: &Outlook, origin: Vec3, direction: Vec3) -> f32 {
+    pub fn weight(&self, outlook: &Outlook, from: &Vantage, direction: Vec3) -> f32 {
         let (sky, tile) = self.sky_density_and_tile(direction);
-        outlook.weight(tile, sky, self.emitters_density(origin, direction))
+        outlook.weight(tile, sky, self.emitters_density(&from.receiver(), direction))
     }
 
     fn sky_density_and_tile(&self, direction: Vec3) -> (f32, usize) {
@@ -174,20 +195,21 @@ impl Guide {
     /// A direction toward what is bright, whatever hides it, and its density per steradian (infinite where it is none after
     /// all: weigh it by nothing). `None` where nothing is bright.
     pub fn propose_bright(&self, origin: Vec3, [first, second]: [f32; 2]) -> Option<(Vec3, f32)> {
+        let receiver = Receiver::node(origin);
         match (&self.sky, &self.emitters) {
             (None, None) => None,
             (Some(sky), None) => Some(sky.sample([first, second])),
             (None, Some(emitters)) => {
-                let found = emitters.sample_direction(origin, [first, second]);
+                let found = emitters.sample_direction(&receiver, [first, second]);
                 Some(found.unwrap_or((Vec3::Y, f32::INFINITY)))
             }
             // Half each; what is left of the number goes on.
             (Some(sky), Some(_)) if first < 0.5 => {
                 let (direction, density) = sky.sample([2.0 * first, second]);
-                Some((direction, 0.5 * density + 0.5 * self.emitters_density(origin, direction)))
+                Some((direction, 0.5 * density + 0.5 * self.emitters_density(&receiver, direction)))
             }
             (Some(sky), Some(emitters)) => {
-                let found = emitters.sample_direction(origin, [2.0 * first - 1.0, second]);
+                let found = emitters.sample_direction(&receiver, [2.0 * first - 1.0, second]);
                 let both = found.map(|(direction, density)| (direction, 0.5 * density + 0.5 * sky.density(direction)));
                 Some(both.unwrap_or((Vec3::Y, f32::INFINITY)))
             }
@@ -197,7 +219,7 @@ impl Guide {
     /// Density per steradian with which [`Guide::propose_bright`] returns `direction`; 0 where nothing is bright.
     pub fn bright_density(&self, origin: Vec3, direction: Vec3) -> f32 {
         let sky = self.sky.as_ref().map_or(0.0, |sky| sky.density(direction));
-        let emitters = self.emitters_density(origin, direction);
+        let emitters = self.emitters_density(&Receiver::node(origin), direction);
         if self.sky.is_some() && self.emitters.is_some() { 0.5 * (sky + emitters) } else { sky + emitters }
     }
 
@@ -205,8 +227,8 @@ impl Guide {
         self.sky_at_nodes.as_ref().or(self.sky.as_ref())
     }
 
-    fn emitters_density(&self, origin: Vec3, direction: Vec3) -> f32 {
-        self.emitters.as_ref().map_or(0.0, |emitters| emitters.density(origin, direction))
+    fn emitters_density(&self, receiver: &Receiver, direction: Vec3) -> f32 {
+        self.emitters.as_ref().map_or(0.0, |emitters| emitters.density(receiver, direction))
     }
 }
 
@@ -304,8 +326,10 @@ mod tests {
     fn density_of_all_techniques_together_integrates_to_one() {
         let directions = fibonacci_sphere(1 << 18);
         for (number, guide) in guides().iter().enumerate() {
-            for outlook in outlooks(guide) {
-                let inverse = |direction: &Vec3| 1.0 / f64::from(guide.weight(&outlook, Vec3::ZERO, *direction));
+            // With what the emitters are to it asked, and not.
+            for (outlook, draws) in outlooks(guide).iter().zip([1000, 0].into_iter().cycle()) {
+                let from = guide.vantage(Vec3::ZERO, draws);
+                let inverse = |direction: &Vec3| 1.0 / f64::from(guide.weight(outlook, &from, *direction));
                 let integral = directions.iter().map(inverse).sum::<f64>() / directions.len() as f64;
                 assert!((integral - 1.0).abs() < 0.01, "guide {number}, {:?}: {integral}", outlook.shares());
             }
@@ -317,15 +341,15 @@ mod tests {
         // Σ w over the samples of all techniques, in their shares, is the sphere, and of any part of it that part. A share
         // that its technique does not keep shows in the half where it is bright.
         for (number, guide) in guides().iter().enumerate() {
-            for outlook in outlooks(guide) {
+            for (outlook, draws) in outlooks(guide).iter().zip([1000, 0].into_iter().cycle()) {
+                let from = guide.vantage(Vec3::ZERO, draws);
                 let count = 1 << 14;
                 let (mut area, mut upper) = (0.0, 0.0);
                 for technique in Technique::ALL {
                     let share = f64::from(outlook.shares()[technique as usize]);
                     let stream = Stream::new(Sampler::Sobol, 0, 0, technique as u32);
                     for sample in 0..if share > 0.0 { count } else { 0 } {
-                        let (direction, weight) =
-                            guide.propose(&outlook, technique, Vec3::ZERO, stream.point(sample, 0));
+                        let (direction, weight) = guide.propose(outlook, technique, &from, stream.point(sample, 0));
                         assert!((direction.length() - 1.0).abs() < 1e-5);
                         area += share * f64::from(weight) / f64::from(count);
                         upper += if direction.y > 0.0 { share * f64::from(weight) / f64::from(count) } else { 0.0 };

@@ -19,7 +19,7 @@ use glam::Vec3;
 
 use crate::sampling::Stream;
 use crate::trace::{Frame, Level};
-pub use guide::{Guide, Technique, UNIFORM_SHARE};
+pub use guide::{Guide, Technique, UNIFORM_SHARE, Vantage};
 pub use outlook::{Glance, GlanceSums, Outlook};
 pub use seen::Seen;
 pub use sky::Distant;

@@ -162,7 +162,7 @@ impl<'a> Path<'a> {
                 throughput /= survival;
             }
             direction = cosine_hemisphere(hit.normal, context.point(pair));
-            let receiver = Receiver { position: start, normal: Some(hit.normal) };
+            let receiver = Receiver::surface(start, hit.normal);
             left = Some((receiver, direction.dot(hit.normal) * std::f32::consts::FRAC_1_PI));
             met = self.nearest(start, direction, pair + PAIRS, context);
         }
@@ -182,7 +182,7 @@ impl<'a> Path<'a> {
         const FRAC_1_PI: f32 = std::f32::consts::FRAC_1_PI;
         let mut sum = Vec3::ZERO;
         if let (Some(emitters), Some(surfaces)) = (self.guide.emitters(), &self.surfaces) {
-            let receiver = Receiver { position: start, normal: Some(normal) };
+            let receiver = Receiver::surface(start, normal);
             let drawn = emitters.draw(&receiver, context.point(pair + 1));
             let line = drawn.map_or(Vec3::ZERO, |point| point.position - start);
             let direction = line.normalize_or_zero();

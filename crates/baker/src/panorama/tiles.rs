@@ -26,6 +26,7 @@ pub struct Tiles {
     bands: Vec<u8>,
     /// Sine of the latitude at the upper and the lower edge of every band.
     edges: Vec<[f64; 2]>,
+    solid_angle_shares: Vec<f64>,
 }
 
 /// A cell, and a place in it.
@@ -52,6 +53,12 @@ impl Tiles {
             row => (PI * (0.5 - (row as f64 - 0.5) / height as f64)).sin(),
         };
         let edges = (0..down).map(|band| range(band, height + 1, down)).map(|rows| [edge(rows.start), edge(rows.end)]);
+        let edges: Vec<[f64; 2]> = edges.collect();
+        // Sectors times heights (Archimedes).
+        let share = |tile: usize| {
+            let [top, bottom] = edges[tile / across];
+            (top - bottom) * 0.5 * range(tile % across, width, across).len() as f64 / width as f64
+        };
         Tiles {
             width,
             height,
@@ -59,7 +66,8 @@ impl Tiles {
             down,
             sectors: of(width, across),
             bands: of(height + 1, down),
-            edges: edges.collect(),
+            solid_angle_shares: (0..across * down).map(share).collect(),
+            edges,
         }
     }
 
@@ -119,10 +127,9 @@ impl Tiles {
         }
     }
 
-    /// Share of the sphere, 0..=1: sectors times heights (Archimedes).
-    pub fn solid_angle_share(&self, tile: usize) -> f64 {
-        let [top, bottom] = self.edges[tile / self.across];
-        (top - bottom) * 0.5 * self.columns(tile).len() as f64 / self.width as f64
+    /// Share of the sphere, 0..=1, of every tile.
+    pub fn solid_angle_shares(&self) -> &[f64] {
+        &self.solid_angle_shares
     }
 
     /// A direction in a tile, uniform over its solid angle.
@@ -136,14 +143,28 @@ impl Tiles {
         DVec3::new(cos * across, sin, cos * along).as_vec3()
     }
 
-    /// Tiles that share an edge with one; over the poles there is none.
-    pub fn neighbours(&self, tile: usize) -> impl Iterator<Item = usize> {
-        let (x, y) = (tile % self.across, tile / self.across);
-        let at = move |x: usize, y: usize| y * self.across + x % self.across;
-        let aside = (self.across > 1).then(|| [at(x + 1, y), at(x + self.across - 1, y)]);
-        let above = (y > 0).then(|| at(x, y - 1));
-        let below = (y + 1 < self.down).then(|| at(x, y + 1));
-        aside.into_iter().flatten().chain(above).chain(below)
+    /// Of every tile what it has, and `share` of what the tiles have that share an edge with it; over the poles there is none.
+    pub fn blur(&self, values: &[[f64; 3]], share: f64) -> Vec<[f64; 3]> {
+        let mut blurred = values.to_vec();
+        let mut add = |to: usize, from: &[f64; 3]| {
+            blurred[to].iter_mut().zip(from).for_each(|(sum, more)| *sum += share * more);
+        };
+        for (row, band) in values.chunks_exact(self.across).enumerate() {
+            let first = row * self.across;
+            for (sector, own) in band.iter().enumerate() {
+                if self.across > 1 {
+                    add(first + if sector + 1 == self.across { 0 } else { sector + 1 }, own);
+                    add(first + if sector == 0 { self.across - 1 } else { sector - 1 }, own);
+                }
+                if row > 0 {
+                    add(first + sector - self.across, own);
+                }
+                if row + 1 < self.down {
+                    add(first + sector + self.across, own);
+                }
+            }
+        }
+        blurred
     }
 }
 
@@ -165,23 +186,27 @@ pub struct TileChoice {
 impl TileChoice {
     /// Probabilities in proportion to `weights`, one per tile, none negative. If all are zero, `choose` may not be asked.
     pub fn new(tiles: &Tiles, weights: &[f64]) -> TileChoice {
-        let mut choice = TileChoice { across: tiles.across, bands: vec![0.0], sectors: Vec::new() };
+        let mut bands = Vec::with_capacity(tiles.down + 1);
+        let mut sectors = Vec::with_capacity(tiles.down * (tiles.across + 1));
         let mut sum = 0.0;
         for band in weights.chunks_exact(tiles.across) {
+            bands.push(sum);
             let total: f64 = band.iter().sum();
             sum += total;
-            choice.bands.push(sum);
+            let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
             let mut along = 0.0;
-            choice.sectors.push(0.0);
-            choice.sectors.extend(band.iter().map(|weight| {
+            sectors.extend(band.iter().map(|weight| {
+                let left = along;
                 along += weight;
-                if total > 0.0 { (along / total).min(1.0) } else { 0.0 }
+                left * scale
             }));
+            sectors.push(1.0);
         }
+        bands.push(sum);
         if sum > 0.0 {
-            choice.bands.iter_mut().for_each(|band| *band /= sum);
+            bands.iter_mut().for_each(|band| *band /= sum);
         }
-        choice
+        TileChoice { across: tiles.across, bands, sectors }
     }
 
     /// The tile for a point of the unit square, and what is left of the point within it.

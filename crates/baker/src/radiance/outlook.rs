@@ -73,30 +73,26 @@ impl GlanceSums {
 
     /// What these tell; `sky` is the mean radiance over the sphere that comes from each tile.
     pub(super) fn outlook(&self, tiles: &Tiles, sky: impl Iterator<Item = f64>) -> Outlook {
-        let around = |tile: usize| {
-            tiles
-                .neighbours(tile)
-                .fold(self.tiles[tile], |sum, next| std::array::from_fn(|i| sum[i] + BLUR * self.tiles[next][i]))
-        };
         let total = self.tiles.iter().fold([0.0; 3], |sum: [f64; 3], own| std::array::from_fn(|i| sum[i] + own[i]));
         let mean = if total[2] > 0.0 { total[0] / total[2] } else { 1.0 };
-        let known: Vec<[f64; 3]> = (0..tiles.len()).map(around).collect();
         // What a share of the samples leaves of their variance is least when it follows the root mean square.
-        let brightness = known.iter().map(|[squares, _, all]| ((squares + PRIOR * mean) / (all + PRIOR)).sqrt());
-        let surfaces: Vec<f64> = brightness.enumerate().map(|(t, b)| b * tiles.solid_angle_share(t)).collect();
-        let clear: Vec<f64> = known.iter().map(|[_, sky, all]| (sky + PRIOR) / (all + PRIOR)).collect();
+        let learned = tiles.blur(&self.tiles, BLUR).into_iter().map(|[squares, sky, all]| {
+            let scale = 1.0 / (all + PRIOR);
+            (((squares + PRIOR * mean) * scale).sqrt(), (sky + PRIOR) * scale)
+        });
+        let (brightness, clear): (Vec<f64>, Vec<f64>) = learned.unzip();
+        let surfaces: Vec<f64> =
+            brightness.iter().zip(tiles.solid_angle_shares()).map(|(b, share)| b * share).collect();
         let whole: Vec<f64> = sky.collect();
         let sky: Vec<f64> = whole.iter().zip(&clear).map(|(light, clear)| light * clear).collect();
         let [surface_light, sky_light, whole] = [&surfaces, &sky, &whole].map(|light| light.iter().sum::<f64>());
-        let density = |(tile, light): (usize, &f64)| match surface_light > 0.0 {
-            true => (light / (surface_light * tiles.solid_angle_share(tile))) as f32,
-            false => 0.0,
-        };
+        let per_light = if surface_light > 0.0 { 1.0 / surface_light } else { 0.0 };
+        // Without a sky none.
+        let per_sky = if whole > 0.0 { whole / sky_light } else { 0.0 };
         Outlook {
-            surface_density: surfaces.iter().enumerate().map(density).collect(),
+            surface_density: brightness.iter().map(|b| (b * per_light) as f32).collect(),
             surfaces: TileChoice::new(tiles, &surfaces),
-            // Without a sky none.
-            sky_density: clear.iter().map(|c| if whole > 0.0 { (c * whole / sky_light) as f32 } else { 0.0 }).collect(),
+            sky_density: clear.iter().map(|c| (c * per_sky) as f32).collect(),
             sky: TileChoice::new(tiles, &sky),
             surface_light,
             sky_light,

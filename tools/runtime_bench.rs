@@ -236,11 +236,10 @@ fn header(kind: Kind, counts: [u32; 3], places: u32) -> Header {
 /// The same nodes in steps of 0.3 %.
 fn packed_file(volume: &Volume) -> Vec<u8> {
     let header = Header { encoding: Encoding::Packed, scale: 0.003, ..*volume.header() };
-    let mut numbers = vec![0; volume.node_count() * (VALUES + 1)];
-    for (node, numbers) in numbers.chunks_exact_mut(VALUES + 1).enumerate() {
+    let bytes = packed::numbers_to_bytes(volume.node_count(), VALUES + 1, |node, numbers| {
         packed::quantise_node(&volume.node_sh(node).coefficients.as_flattened()[..VALUES], header.scale, numbers);
-    }
-    assemble(&header, &[(RADIANCE, packed::numbers_to_bytes(&numbers, VALUES + 1))])
+    });
+    assemble(&header, &[(RADIANCE, bytes)])
 }
 
 fn assemble(header: &Header, sections: &[([u8; 4], Vec<u8>)]) -> Vec<u8> {

@@ -61,11 +61,37 @@ const ZSTD_LEVEL: i32 = 3;
 /// That of packed coefficients, where it buys 10 %.
 const ZSTD_LEVEL_PACKED: i32 = 19;
 
+/// A reader keeps 2 to this of what it has read, and the compressor some times that. A million packed nodes take 65 MB less and
+/// two thirds of the time than with 23, which the level would take, and half a per cent fewer bytes.
+const WINDOW_LOG: u32 = 20;
+
 /// Bytes that are compressed at a time.
 const PIECE: usize = 1 << 16;
 
+/// What goes into a file, on its way there. Holds none of what was baked, which may go before the file is put together: it is as
+/// large as the file, and compressing takes as much again.
+#[derive(Debug)]
+pub struct Sections {
+    header: Header,
+    sections: Vec<([u8; 4], Vec<u8>)>,
+    records: Records,
+    zstd: bool,
+}
+
+impl Sections {
+    /// The file, compressed if that was asked for.
+    pub fn assemble(self) -> Packed {
+        Packed { bytes: assemble(&self.header, self.sections, self.zstd), records: self.records }
+    }
+}
+
 /// Makes the file, and adds to the records what packing itself does.
-pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSettings) -> Packed {
+pub fn pack(nodes: &Nodes, baked: &Baked, records: Records, settings: PackSettings) -> Packed {
+    sections(nodes, baked, records, settings).assemble()
+}
+
+/// The same, up to where nothing that was baked is needed any more.
+pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSettings) -> Sections {
     // De-ringing and standard errors know packed coefficients as floats.
     let numbers = match settings.precision {
         Precision::F32 | Precision::Packed { .. } => Numbers { encoding: Encoding::F32, scale: 1.0 },
@@ -141,7 +167,7 @@ pub fn pack(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSe
     sections.push((format::PROBES, records::encode(&records.probes)));
     sections.push((format::STATISTICS, records::encode(&records.statistics)));
 
-    Packed { bytes: assemble(&header, sections, settings.zstd), records }
+    Sections { header, sections, records, zstd: settings.zstd }
 }
 
 /// Per node the weight of bands 1 and up; `None` leaves it as it is.
@@ -230,12 +256,11 @@ fn pack_coefficients(baked: &Baked, windows: &[Option<f32>], error: f64) -> Pack
     }
     let step = step_of(fine).max(*packed::STEPS.start());
     let added_error = errors_with(step);
-    let mut numbers = vec![0; baked.len() * (count + 1)];
-    numbers.par_chunks_exact_mut(count + 1).enumerate().for_each(|(node, numbers)| {
+    let node_numbers = |node: usize, numbers: &mut [i16]| {
         packed::quantise_node(&windowed(baked, windows, node).coefficients.as_flattened()[..count], step, numbers);
-    });
+    };
     PackedCoefficients {
-        bytes: packed::numbers_to_bytes(&numbers, count + 1),
+        bytes: packed::numbers_to_bytes(baked.len(), count + 1, node_numbers),
         step,
         record: added_error.map(|added_error| PackingRecord { step, added_error }),
     }
@@ -306,6 +331,7 @@ fn compressed(header: &Header, id: [u8; 4], raw: Vec<u8>) -> (Codec, Filter, Vec
     let level = if packed { ZSTD_LEVEL_PACKED } else { ZSTD_LEVEL };
     let frame = |bytes: &mut dyn Iterator<Item = u8>| -> std::io::Result<Vec<u8>> {
         let mut encoder = zstd::Encoder::new(Vec::new(), level)?;
+        encoder.window_log(WINDOW_LOG)?;
         encoder.set_pledged_src_size(Some(raw.len() as u64))?;
         let mut encoder = BufWriter::with_capacity(PIECE, encoder);
         for byte in bytes {
@@ -335,7 +361,9 @@ fn planes(values: &[f32], windows: &[Option<f32>], nodes: usize, numbers: Number
         Encoding::F16 => {
             let inverse = 1.0 / numbers.scale;
             let half = |value: f32| f16::from_f32(value.min(f16::MAX.to_f32()));
-            places.flat_map(|(plane, node)| half(value(plane, node) * inverse).to_le_bytes()).collect()
+            let mut bytes = Vec::with_capacity(2 * values.len());
+            places.for_each(|(plane, node)| bytes.extend(half(value(plane, node) * inverse).to_le_bytes()));
+            bytes
         }
     }
 }

@@ -15,7 +15,7 @@ use gdibl_baker::records::{
     StatisticsRecord, SunRecord, WallsRecord,
 };
 use gdibl_baker::sampling::Sampler;
-use gdibl_baker::volume::{PackSettings, Packed, Precision, pack, write_whole};
+use gdibl_baker::volume::{PackSettings, Packed, Precision, sections, write_whole};
 use gdibl_baker::{Control, Finding};
 use gdibl_runtime::sh::MAX_BANDS;
 use serde::Serialize;
@@ -178,7 +178,11 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         zstd: config.quality.zstd.unwrap_or(matches!(precision, Precision::Packed { .. })),
         dering: config.quality.dering.unwrap_or(false),
     };
-    let Packed { bytes, records } = pack(&nodes, &baked, records, packing);
+    let sections = sections(&nodes, &baked, records, packing);
+    let (rays, samples, missed, bands) = (baked.rays, baked.samples, baked.missed, baked.bands);
+    // As large as the file, which is put together next.
+    drop(baked);
+    let Packed { bytes, records } = sections.assemble();
     if cancel.load(Ordering::Relaxed) {
         return Err(Fault::Interrupted);
     }
@@ -188,10 +192,10 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         output: config.output.display().to_string(),
         nodes: nodes.len() as u64,
         nodes_valid: records.statistics.nodes_valid,
-        rays: baked.rays,
+        rays,
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
-        sh: format!("L{}", baked.bands),
+        sh: format!("L{bands}"),
         relative_error: records.statistics.relative_error,
         worst_direction_error: records.statistics.worst_direction_error,
         coverage: records.statistics.coverage,
@@ -206,7 +210,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         bytes: bytes.len() as u64,
         plan: &records.plan,
         seed: settings.seed,
-        samples: baked.samples,
+        samples,
         findings: &records.statistics.findings,
     };
     if arguments.json {
@@ -215,9 +219,9 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         print_report(&report, &nodes, packing.precision)?;
     }
     match settings.target_error {
-        Some(target) if baked.missed > 0 => Err(Fault::Bound(format!(
+        Some(target) if missed > 0 => Err(Fault::Bound(format!(
             "{} of {} nodes missed the target error of {} % within {} samples; the volume was written",
-            baked.missed,
+            missed,
             nodes.len(),
             // Rounded: 1e-6 is 0.0001 %, and not 0.00009999999999999999 %.
             (target * 100.0) as f32,

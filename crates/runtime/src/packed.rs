@@ -195,20 +195,22 @@ fn rounded(value: f64) -> i16 {
     (value + if value < 0.0 { -0.5 } else { 0.5 }) as i16
 }
 
-/// Section `RSH ` of nodes in their order, `count` numbers each: planes of differences from the node before, folded so that
-/// small ones are small numbers (0, -1, 1, -2, … become 0, 1, 2, 3, …).
-pub fn numbers_to_bytes(numbers: &[i16], count: usize) -> Vec<u8> {
-    let nodes = numbers.len() / count;
-    let mut bytes = Vec::with_capacity(2 * numbers.len());
-    for plane in 0..count {
-        let mut before = 0i16;
-        for node in 0..nodes {
-            let row = &numbers[node * count..(node + 1) * count];
+/// Section `RSH ` of `nodes` nodes with `count` numbers each, which `numbers_of` a node writes: planes of differences from the node
+/// before, folded so that small ones are small numbers (0, -1, 1, -2, … become 0, 1, 2, 3, …).
+pub fn numbers_to_bytes(nodes: usize, count: usize, mut numbers_of: impl FnMut(usize, &mut [i16])) -> Vec<u8> {
+    let mut bytes = vec![0; 2 * nodes * count];
+    let elements = bytes.as_chunks_mut::<2>().0;
+    let (mut before, mut numbers) = ([0i16; MAX_NUMBERS], [0i16; MAX_NUMBERS]);
+    for node in 0..nodes {
+        let numbers = &mut numbers[..count];
+        numbers_of(node, numbers);
+        let is_dark = numbers[0] < 1;
+        for (plane, (&number, before)) in numbers.iter().zip(&mut before).enumerate() {
             // In the dark all numbers but the code may be what they want: the node before's.
-            let number = if row[0] < 1 && plane > 0 { before } else { row[plane] };
-            let difference = number.wrapping_sub(before);
-            bytes.extend(((difference << 1 ^ difference >> 15) as u16).to_le_bytes());
-            before = number;
+            let number = if is_dark && plane > 0 { *before } else { number };
+            let difference = number.wrapping_sub(*before);
+            elements[plane * nodes + node] = ((difference << 1 ^ difference >> 15) as u16).to_le_bytes();
+            *before = number;
         }
     }
     bytes

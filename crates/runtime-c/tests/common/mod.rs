@@ -67,14 +67,10 @@ impl Form {
         let radiance = match self.encoding {
             Encoding::F32 => planes.iter().flat_map(|value| value.to_le_bytes()).collect(),
             Encoding::F16 => planes.iter().flat_map(|value| half::f16::from_f32(value / scale).to_le_bytes()).collect(),
-            Encoding::Packed => {
-                let mut numbers = vec![0; nodes * (values + 1)];
-                for (node, numbers) in numbers.chunks_exact_mut(values + 1).enumerate() {
-                    let values: Vec<f32> = (0..values).map(|plane| planes[plane * nodes + node]).collect();
-                    packed::quantise_node(&values, scale, numbers);
-                }
-                packed::numbers_to_bytes(&numbers, values + 1)
-            }
+            Encoding::Packed => packed::numbers_to_bytes(nodes, values + 1, |node, numbers| {
+                let values: Vec<f32> = (0..values).map(|plane| planes[plane * nodes + node]).collect();
+                packed::quantise_node(&values, scale, numbers);
+            }),
         };
         contents.push((RADIANCE, radiance));
         contents.push((VALIDITY, (0..60).map(|node| u8::from(node % 7 != 0)).collect()));

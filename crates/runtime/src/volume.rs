@@ -537,7 +537,7 @@ fn interleave_halves(bytes: &[u8], nodes: usize, planes: usize) -> (Vec<u32>, Ve
             }
         }
         all_finite &= f16_is_finite(most as u16);
-        // As below, of the smallest but 0.
+        // The smallest number but 0 is one more.
         if f16_is_subnormal(least as u16 + 1) {
             let is_subnormal = |word: &u32| f16_is_subnormal(*word as u16) || f16_is_subnormal((word >> 16) as u16);
             let rows = rows.chunks_exact(per_node).enumerate();

@@ -402,9 +402,10 @@ fn blend_pairs<const W: usize, const V: usize>(pairs: &[&[[u32; W]; 2]; 4], weig
     sums
 }
 
-/// See [`upper_f16_to_scaled_f32`].
+/// What [`upper_f16_to_scaled_f32`] leaves to weights.
 pub(crate) const TWO_TO_112: f32 = f32::from_bits((112 + 127) << 23);
 
+/// Weights for values that [`upper_f16_to_scaled_f32`] decoded.
 #[inline(always)]
 pub(crate) fn times_2_to_112(mut weights: [f32; 8]) -> [f32; 8] {
     weights.iter_mut().for_each(|weight| *weight *= TWO_TO_112);

@@ -155,7 +155,7 @@ impl Baked {
 }
 
 /// Bytes that a bake of `nodes` nodes takes at its peak, at most, beside the level: coefficients, figures, and the file's sections
-/// beside them. A million L2 nodes take 312 MB by this; 201 were measured in f16, 210 packed (`tools/scaling_bench`).
+/// beside them. A million L2 nodes take 312 MB by this; 219 were measured in f16, 224 packed (`tools/scaling_bench`).
 pub fn memory_needed(nodes: u64, settings: &BakeSettings) -> u64 {
     let coefficients = 3 * sh::coefficient_count(settings.bands) as u64;
     let coefficients = coefficients * if settings.coefficient_errors { 2 } else { 1 };

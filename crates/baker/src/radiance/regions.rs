@@ -407,6 +407,7 @@ impl<'a> Search<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::radiance::emitters::Receiver;
     use crate::radiance::guide::Guide;
     use crate::sampling::fibonacci_sphere;
     use crate::scene::{Material, Mesh};
@@ -483,7 +484,7 @@ mod tests {
         let (mut bright, mut missed, mut wasted) = (0, 0, 0);
         for direction in fibonacci_sphere(1 << 18) {
             let light = probe.panorama.radiance(probe.rotation.inverse() * direction).x;
-            let sent = tree.density(&super::super::emitters::Receiver::node(origin), direction);
+            let sent = tree.density(&Receiver::node(origin), direction);
             bright += u32::from(light > 60.0);
             missed += u32::from(light > 60.0 && sent == 0.0);
             wasted += u32::from(light == 1.0 && sent > 0.0);

@@ -258,3 +258,12 @@ fn bilinear_reconstruction_keeps_a_constant_at_any_size() {
 fn new_refuses_a_wrong_number_of_pixels() {
     Panorama::new(4, 2, vec![[0.0; 3]; 7], None);
 }
+
+#[test]
+fn one_coordinate_that_is_no_number_makes_a_zero_vector() {
+    for odd in [f32::NAN, f32::INFINITY] {
+        for direction in [Vec3::new(odd, 1.0, 1e-3), Vec3::new(0.5, odd, 0.0), Vec3::new(odd, odd, 2.0)] {
+            assert_eq!(Panorama::uv(direction), Panorama::uv(Vec3::ZERO), "{direction}");
+        }
+    }
+}

@@ -157,7 +157,8 @@ impl Panorama {
     /// and so has the zero vector, with v = 0.5; a vector that is not finite counts as zero.
     pub fn uv(direction: Vec3) -> (f32, f32) {
         let largest = direction.abs().max_element();
-        let d = match largest {
+        // A sum, for a maximum passes over what is no number.
+        let d = match direction.abs().element_sum() {
             1e-15..=1e15 => direction,
             // Scaled by the largest component, so that neither 1e-30 nor 1e30 leaves the range of f32.
             _ if largest > 0.0 && direction.is_finite() => direction / largest,

@@ -14,6 +14,7 @@ use gdibl_baker::radiance::path::{Path as PathTracer, PathSettings};
 use gdibl_runtime::sh;
 use gdibl_tools::{bake_all, read_distant, read_scene};
 use glam::{DVec3, Quat};
+use half::f16;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -37,21 +38,21 @@ fn main() {
     let places = place_probes(&path, (min, max), &[], &PlaceSettings { most: PROBES, gain: 0.0 }).positions();
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
     let settings = CaptureSettings { width: WIDTH, samples: 128, emission: false, ..CaptureSettings::default() };
-    let probes: Vec<Probe> = places
-        .iter()
-        .enumerate()
-        .map(|(i, &position)| Probe {
+    let probe = |(i, &position): (usize, &DVec3)| {
+        let mut image = capture(&path, position, i as u64, &settings, &control).expect("nobody interrupts").image;
+        // As the file has them that `gdibl capture` writes.
+        let halve = |value: &mut f32| *value = f16::from_f32(*value).to_f32();
+        image.pixels.iter_mut().flatten().for_each(halve);
+        image.distance.iter_mut().flatten().for_each(halve);
+        Probe {
             name: i.to_string(),
             position,
             rotation: Quat::IDENTITY,
             exposure_stops: 0.0,
-            panorama: to_lat_long(
-                &capture(&path, position, i as u64, &settings, &control).expect("nobody interrupts").image,
-                Mapping::LatLong,
-                None,
-            ),
-        })
-        .collect();
+            panorama: to_lat_long(&image, Mapping::LatLong, None),
+        }
+    };
+    let probes: Vec<Probe> = places.iter().enumerate().map(probe).collect();
     println!(
         "{} triangles, {} probes of {WIDTH} x {}",
         scene.meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),

@@ -189,7 +189,7 @@ fn laws(table: &mut Table) {
 
     let scaled = |scale: f32| {
         let mut probes = coloured_probes();
-        probes.iter_mut().flat_map(|p| p.panorama.pixels_mut()).flatten().for_each(|v| *v *= scale);
+        probes.iter_mut().for_each(|probe| probe.panorama.tint([scale; 3]));
         let sky = distant(panorama(32, |d| [1.5 + d.y, 1.0, 1.0 + d.x * d.z].map(|v| v * scale)));
         let mut open = scene.clone();
         remove_ceiling(&mut open);
@@ -401,7 +401,7 @@ fn nodes_and_probes_in_bad_places(table: &mut Table) {
         let both = bake_points(&gdibl(&scene, &with, None), &[DVec3::new(1.0, 0.0, 0.3)], &USUAL);
         let off = off_the_furnace(&sh_of(&both, 0), [1.0; 3]);
         // Alone, with light that would show where it does not belong.
-        other.panorama.pixels_mut().fill([7.0; 3]);
+        other.panorama = other.panorama.with_pixels(|_, _| [7.0; 3]);
         let alone = [other];
         let baked = bake_points(&gdibl(&scene, &alone, None), &[DVec3::new(1.0, 0.0, 0.3)], &USUAL);
         let lit = off_the_furnace(&sh_of(&baked, 0), [7.0; 3]);
@@ -555,9 +555,8 @@ fn fireflies(table: &mut Table) {
     let grid = Grid { min: [-2.8, -0.8, -1.8], max: [2.8, 1.8, 2.3], counts: [6, 4, 6] };
     let probes = coloured_probes();
     for sun in [1e5, 1e9] {
-        let mut image = panorama(256, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
-        image.pixels_mut()[30 * 256 + 70] = [sun; 3];
-        let sky = distant(image);
+        let image = panorama(256, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
+        let sky = distant(with_pixel(&image, [70, 30], [sun; 3]));
         let function = gdibl(&scene, &probes, Some(&sky));
         let nodes = Nodes::Grid(grid);
         let [few, many] = [1024, 16_384].map(|samples| bake_all(&function, &nodes, &BakeSettings { samples, ..SMALL }));
@@ -586,7 +585,7 @@ fn bright_pixel_of_a_probe(table: &mut Table) {
             let mut probes = plain.clone();
             let image = &mut probes[0].panorama;
             let before = image.pixel(pixel[0], pixel[1]).x;
-            image.pixels_mut()[pixel[1] * 256 + pixel[0]] = [bright; 3];
+            *image = with_pixel(image, pixel, [bright; 3]);
             let truth: Vec<RadianceSh> = (0..points.len())
                 .map(|node| {
                     let light = f64::from(bright - before);
@@ -852,7 +851,7 @@ fn sixteen_k(table: &mut Table, folder: &Folder) {
     let sun = 6e4f32;
     let mut image = {
         let light = panorama(WIDTH, |_| [1.0; 3]);
-        Image::new(WIDTH, WIDTH / 2, light.pixels().to_vec())
+        Image::new(WIDTH, WIDTH / 2, light.pixels().collect())
     };
     image.pixels[y * WIDTH + x] = [sun; 3];
     let started = std::time::Instant::now();

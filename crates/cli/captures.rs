@@ -150,7 +150,7 @@ pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool
             captured.folder.display()
         ));
     }
-    if inputs.probes.iter().all(|probe| probe.panorama.pixels().iter().all(|pixel| *pixel == [0.0; 3])) {
+    if inputs.probes.iter().all(|probe| probe.panorama.pixels().all(|pixel| pixel == [0.0; 3])) {
         return Err(Fault::Bound(format!(
             "{}: no light reaches any of the {count} probes that were captured from it: is it closed under its sky? Give \
              it lights, or --probes",

@@ -49,18 +49,20 @@ pub fn to_lat_long(image: &Image, mapping: Mapping, width: Option<usize>) -> Pan
 /// face, in pixels (at least 1). What the layout does not show is black, and escapes.
 pub fn from_lat_long(panorama: &Panorama, mapping: Mapping, size: usize) -> Image {
     let (width, height) = mapping.dimensions(size.max(1));
+    let pixels: Vec<[f32; 3]> = panorama.pixels().collect();
+    let distance: Option<Vec<f32>> = panorama.distances().map(Iterator::collect);
     if let Some(turn) = mapping.turn()
         && (width, height) == (panorama.width(), panorama.height())
     {
-        let (pixels, distance) = turn_columns(width, panorama.pixels(), panorama.distances(), -turn * width as f64);
+        let (pixels, distance) = turn_columns(width, &pixels, distance.as_deref(), -turn * width as f64);
         return Image { width, height, pixels, distance };
     }
     let source = Source {
         mapping: Mapping::LatLong,
         width: panorama.width(),
         height: panorama.height(),
-        pixels: panorama.pixels(),
-        distance: panorama.distances(),
+        pixels: &pixels,
+        distance: distance.as_deref(),
     };
     resample(&source, mapping, width, height)
 }

@@ -42,8 +42,8 @@ impl Importance {
     pub fn new(panorama: &Panorama) -> Option<Importance> {
         let (width, height) = (panorama.width(), panorama.height());
         let cosine = |row: usize| (PI * (0.5 - (row as f64 + 0.5) / height as f64)).cos() as f32;
-        let light = panorama.pixels().iter().enumerate();
-        let light = light.map(|(i, pixel)| brightness(pixel) * cosine(i / width)).collect();
+        let light = panorama.pixels().enumerate();
+        let light = light.map(|(i, pixel)| brightness(&pixel) * cosine(i / width)).collect();
         let tiles = Tiles::new(width, height);
         let columns = vec![0.0; (height + 1) * (width + tiles.across())];
         let mut importance = Importance {

@@ -24,13 +24,14 @@ mod image;
 mod importance;
 mod mapping;
 mod sun;
+mod texels;
 mod tiles;
 #[cfg(test)]
 mod tolerance;
 
 use std::f64::consts::PI;
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 use crate::angle::arctangent;
 
@@ -41,6 +42,8 @@ pub use importance::Importance;
 pub use mapping::{Mapping, guess_from_aspect};
 pub use sun::{Sun, take_out_sun};
 pub use tiles::{TileChoice, Tiles};
+
+use texels::Texels;
 
 /// Mean of R, G and B.
 pub(crate) fn brightness(rgb: &[f32; 3]) -> f32 {
@@ -53,8 +56,8 @@ pub struct Panorama {
     width: usize,
     height: usize,
     /// Row by row from +Y down.
-    radiance: Vec<[f32; 3]>,
-    distance: Option<Vec<f32>>,
+    texels: Texels,
+    has_distances: bool,
     /// (sin, cos) of the longitude atan2(x, z) at the centre of each column.
     longitude: Vec<[f32; 2]>,
     /// (sin, cos) of the latitude asin(y) at the centre of each row.
@@ -100,7 +103,8 @@ impl Panorama {
         let sin_cos = |angle: f64| [angle.sin() as f32, angle.cos() as f32];
         let longitude = (0..width).map(|x| sin_cos(2.0 * PI * (0.5 - (x as f64 + 0.5) / width as f64))).collect();
         let latitude = (0..height).map(|y| sin_cos(PI * (0.5 - (y as f64 + 0.5) / height as f64))).collect();
-        Panorama { width, height, radiance, distance, longitude, latitude }
+        let has_distances = distance.is_some();
+        Panorama { width, height, texels: Texels::new(radiance, distance), has_distances, longitude, latitude }
     }
 
     /// Columns.
@@ -114,28 +118,43 @@ impl Panorama {
     }
 
     /// All pixels, row by row from +Y down; linear Rec.709 radiance.
-    pub fn pixels(&self) -> &[[f32; 3]] {
-        &self.radiance
+    pub fn pixels(&self) -> impl ExactSizeIterator<Item = [f32; 3]> + Clone {
+        (0..self.width * self.height).map(|index| self.pixel_number(index))
     }
 
-    /// All pixels for changing them in place (matching exposure, taking out a sun). Keep them finite and >= 0.
-    pub fn pixels_mut(&mut self) -> &mut [[f32; 3]] {
-        &mut self.radiance
+    /// The same panorama with other pixels: what `change` makes of each. They must be finite and >= 0.
+    pub fn with_pixels(&self, mut change: impl FnMut(usize, [f32; 3]) -> [f32; 3]) -> Panorama {
+        let radiance = self.pixels().enumerate().map(|(index, pixel)| change(index, pixel)).collect();
+        Panorama::new(self.width, self.height, radiance, self.distances().map(Iterator::collect))
+    }
+
+    /// Multiplies all pixels, channel by channel.
+    pub fn tint(&mut self, gains: [f32; 3]) {
+        self.texels.tint(gains);
     }
 
     /// Metres along the ray per pixel, +infinity where it escapes; `None` for a panorama without distance.
-    pub fn distances(&self) -> Option<&[f32]> {
-        self.distance.as_deref()
+    pub fn distances(&self) -> Option<impl ExactSizeIterator<Item = f32> + Clone> {
+        self.has_distances.then(|| (0..self.width * self.height).map(|index| self.texel(index).w))
     }
 
     /// Radiance of pixel (x, y).
     pub fn pixel(&self, x: usize, y: usize) -> Vec3 {
-        Vec3::from_array(self.radiance[y * self.width + x])
+        self.texel(y * self.width + x).truncate()
     }
 
     /// Distance of pixel (x, y), metres along its ray; `None` for a panorama without distance.
     pub fn pixel_distance(&self, x: usize, y: usize) -> Option<f32> {
-        self.distance.as_ref().map(|distance| distance[y * self.width + x])
+        self.has_distances.then(|| self.texel(y * self.width + x).w)
+    }
+
+    /// Radiance of a pixel by its place among all.
+    pub(crate) fn pixel_number(&self, index: usize) -> [f32; 3] {
+        self.texel(index).truncate().to_array()
+    }
+
+    fn texel(&self, index: usize) -> Vec4 {
+        self.texels.at([index])[0]
     }
 
     /// Unit direction through the centre of pixel (x, y).
@@ -202,16 +221,19 @@ impl Panorama {
 
     /// Radiance along `direction`, bilinear, whatever the distances: for panoramas at infinity.
     pub fn radiance(&self, direction: Vec3) -> Vec3 {
-        self.taps(direction).iter().fold(Vec3::ZERO, |sum, tap| sum + tap.weight * self.tap_radiance(tap))
+        let (taps, texels) = self.taps_and_texels(direction);
+        taps.iter().zip(texels).fold(Vec3::ZERO, |sum, (tap, texel)| sum + tap.weight * texel.truncate())
     }
 
     /// Radiance that comes along `direction` from outside: only pixels whose ray escapes lend, so that an opening
     /// does not take on the colour of its frame. `None` where none of the four pixels escapes. Without distances:
     /// [`Panorama::radiance`].
     pub fn radiance_escaping(&self, direction: Vec3) -> Option<Vec3> {
-        let Some(distance) = &self.distance else { return Some(self.radiance(direction)) };
-        let taps = self.taps(direction);
-        self.mean_of(&taps, |i| distance[taps[i].index] == f32::INFINITY)
+        if !self.has_distances {
+            return Some(self.radiance(direction));
+        }
+        let (taps, texels) = self.taps_and_texels(direction);
+        mean_of(&taps, &texels, texels.map(|texel| texel.w == f32::INFINITY))
     }
 
     /// Radiance of a surface point that this panorama sees along the unit `direction`, `distance` metres away, where
@@ -226,56 +248,64 @@ impl Panorama {
     }
 
     fn radiance_on_plane_within(&self, direction: Vec3, distance: f32, normal: Vec3, tolerance: f32) -> Option<Vec3> {
-        let Some(distances) = &self.distance else { return Some(self.radiance(direction)) };
-        let taps = self.taps(direction);
-        let along = distance * normal.dot(direction);
-        // How far each pixel is from having seen the surface; infinity for a pixel that escapes.
-        let mut error = [f32::INFINITY; 4];
-        for (error, tap) in error.iter_mut().zip(&taps) {
-            let seen = distances[tap.index];
-            if seen == f32::INFINITY {
-                continue;
-            }
-            let expected = along / normal.dot(self.pixel_direction(tap.x, tap.y));
-            // At a grazing angle a neighbour's ray may miss the plane: then only the distances themselves compare.
-            let reference = if expected > 0.0 && expected.is_finite() { expected } else { distance };
-            let off = (seen / reference - 1.0).abs();
-            // A reference of zero, or NaN from the caller, still has to leave an order; f32::MAX is "worst".
-            *error = if off.is_finite() { off } else { f32::MAX };
+        if !self.has_distances {
+            return Some(self.radiance(direction));
         }
-        if let Some(mean) = self.mean_of(&taps, |i| error[i] < tolerance) {
+        let (taps, texels) = self.taps_and_texels(direction);
+        let along = distance * normal.dot(direction);
+        let expected = along / self.dot_directions(&taps, normal);
+        // At a grazing angle a neighbour's ray may miss the plane: then only the distances themselves compare.
+        let meets = expected.cmpgt(Vec4::ZERO) & expected.is_finite_mask();
+        let reference = Vec4::select(meets, expected, Vec4::splat(distance));
+        let seen = Vec4::from(texels.map(|texel| texel.w));
+        let off = (seen / reference - 1.0).abs();
+        // How far each pixel is from having seen the surface; infinity for a pixel that escapes. A reference of zero, or NaN
+        // from the caller, still has to leave an order; f32::MAX is "worst".
+        let error = Vec4::select(off.is_finite_mask(), off, Vec4::splat(f32::MAX));
+        let error = Vec4::select(seen.cmpeq(Vec4::INFINITY), Vec4::INFINITY, error).to_array();
+        if let Some(mean) = mean_of(&taps, &texels, error.map(|error| error < tolerance)) {
             return Some(mean);
         }
         let closest = (0..4).filter(|&i| error[i] < f32::INFINITY).min_by(|&a, &b| {
             // Ties go to the heavier tap.
             error[a].total_cmp(&error[b]).then(taps[b].weight.total_cmp(&taps[a].weight))
         })?;
-        Some(self.tap_radiance(&taps[closest]))
+        Some(texels[closest].truncate())
     }
 
-    fn tap_radiance(&self, tap: &Tap) -> Vec3 {
-        Vec3::from_array(self.radiance[tap.index])
-    }
-
-    /// Weighted mean over the taps that count, their weights renormalised; `None` if none counts.
+    /// The cosine, for a unit `normal`, with the directions of the four pixels.
     #[inline(always)]
-    fn mean_of(&self, taps: &[Tap; 4], counts: impl Fn(usize) -> bool) -> Option<Vec3> {
-        let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
-        let (mut plain_sum, mut plain_count) = (Vec3::ZERO, 0.0);
-        for (_, tap) in taps.iter().enumerate().filter(|(i, _)| counts(*i)) {
-            let radiance = self.tap_radiance(tap);
-            sum += tap.weight * radiance;
-            weight += tap.weight;
-            plain_sum += 0.25 * radiance; // a quarter, so that four of the largest number do not overflow
-            plain_count += 0.25;
-        }
-        if weight > f32::MIN_POSITIVE {
-            Some(sum / weight)
-        } else if plain_count > 0.0 {
-            // The direction is exactly that of a pixel which does not count: its neighbours lend equally.
-            Some(plain_sum / plain_count)
-        } else {
-            None
-        }
+    fn dot_directions(&self, taps: &[Tap; 4], normal: Vec3) -> Vec4 {
+        let [left, right] = [taps[0].x, taps[1].x].map(|x| self.longitude[x]);
+        let [upper, lower] = [taps[0].y, taps[2].y].map(|y| self.latitude[y]);
+        let level = Vec4::new(upper[1], upper[1], lower[1], lower[1]);
+        let x = Vec4::new(left[0], right[0], left[0], right[0]) * level;
+        let y = Vec4::new(upper[0], upper[0], lower[0], lower[0]);
+        let z = Vec4::new(left[1], right[1], left[1], right[1]) * level;
+        normal.x * x + normal.y * y + normal.z * z
     }
+
+    #[inline(always)]
+    fn taps_and_texels(&self, direction: Vec3) -> ([Tap; 4], [Vec4; 4]) {
+        let taps = self.taps(direction);
+        (taps, self.texels.at(taps.map(|tap| tap.index)))
+    }
+}
+
+/// Weighted mean over the taps that count, their weights renormalised; `None` if none counts.
+#[inline(always)]
+fn mean_of(taps: &[Tap; 4], texels: &[Vec4; 4], counts: [bool; 4]) -> Option<Vec3> {
+    let weights: [f32; 4] = std::array::from_fn(|i| if counts[i] { taps[i].weight } else { 0.0 });
+    let sum_by = |weights: [f32; 4]| {
+        weights.iter().zip(texels).fold(Vec3::ZERO, |sum, (weight, texel)| sum + *weight * texel.truncate())
+    };
+    let weight = weights[0] + weights[1] + weights[2] + weights[3];
+    if weight > f32::MIN_POSITIVE {
+        return Some(sum_by(weights) / weight);
+    }
+    // The direction is exactly that of a pixel which does not count: its neighbours lend equally. Quarters, so that four of the
+    // largest number do not overflow.
+    let quarters = counts.map(|counts| if counts { 0.25 } else { 0.0 });
+    let count: f32 = quarters.iter().sum();
+    (count > 0.0).then(|| sum_by(quarters) / count)
 }

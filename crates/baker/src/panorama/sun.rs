@@ -14,7 +14,7 @@
 //! The solid angle of a pixel is that of the panorama's own reconstruction: bilinear, clamped at the poles.
 
 use glam::Vec3;
-use std::collections::{BTreeSet, HashSet, VecDeque};
+use std::collections::{BTreeSet, HashMap, HashSet, VecDeque};
 use std::f64::consts::PI;
 
 use super::{Panorama, brightness};
@@ -51,10 +51,8 @@ pub fn take_out_sun(panorama: &Panorama) -> Option<(Sun, Panorama)> {
     if f64::from(brightness(&best.sun.irradiance.to_array())) < NOTABLE * all {
         return None;
     }
-    let mut rest = panorama.clone();
-    for (index, light) in best.behind {
-        rest.pixels_mut()[index] = light;
-    }
+    let behind: HashMap<usize, [f32; 3]> = best.behind.into_iter().collect();
+    let rest = panorama.with_pixels(|index, pixel| behind.get(&index).copied().unwrap_or(pixel));
     Some((best.sun, rest))
 }
 
@@ -79,7 +77,7 @@ impl<'a> Search<'a> {
         let pixel = PI as f32 / height as f32;
         Search {
             panorama,
-            brightness: panorama.pixels().iter().map(brightness).collect(),
+            brightness: panorama.pixels().map(|pixel| brightness(&pixel)).collect(),
             solid_angles: (0..height).map(|row| solid_angle(panorama.width(), height, row)).collect(),
             radius: RADIUS.max(RADIUS_PIXELS * pixel),
         }
@@ -129,7 +127,7 @@ impl<'a> Search<'a> {
         for (index, light) in &behind {
             let facing =
                 self.solid_angles[index / self.panorama.width()] * f64::from(self.direction(*index).dot(direction));
-            let pixel = self.panorama.pixels()[*index];
+            let pixel = self.panorama.pixel_number(*index);
             (0..3).for_each(|c| irradiance[c] += facing * f64::from(pixel[c] - light[c]));
             total += facing * f64::from(self.brightness[*index] - brightness(light));
             brightest = brightest.max(self.brightness[*index] - brightness(light));
@@ -192,11 +190,11 @@ impl<'a> Search<'a> {
         for &other in rim {
             let distance = f64::from(self.direction(other).distance_squared(here)).max(1e-12);
             let weight = self.solid_angles[other / self.panorama.width()] / distance;
-            let pixel = self.panorama.pixels()[other];
+            let pixel = self.panorama.pixel_number(other);
             (0..3).for_each(|c| sum[c] += weight * f64::from(pixel[c]));
             weights += weight;
         }
-        let pixel = self.panorama.pixels()[index];
+        let pixel = self.panorama.pixel_number(index);
         std::array::from_fn(|c| ((sum[c] / weights) as f32).min(pixel[c]))
     }
 
@@ -281,11 +279,10 @@ mod tests {
     }
 
     /// Adds a sun of one pixel.
-    fn with_pixel(mut panorama: Panorama, x: usize, y: usize, radiance: f32) -> Panorama {
-        let index = y * panorama.width() + x;
-        let pixel = &mut panorama.pixels_mut()[index];
-        *pixel = [radiance, 0.9 * radiance, 0.8 * radiance];
-        panorama
+    fn with_pixel(panorama: Panorama, x: usize, y: usize, radiance: f32) -> Panorama {
+        let bright = y * panorama.width() + x;
+        let sun = [radiance, 0.9 * radiance, 0.8 * radiance];
+        panorama.with_pixels(|index, pixel| if index == bright { sun } else { pixel })
     }
 
     /// ∫ (L - sky) dω of the reconstruction, by brute force around (x, y).
@@ -324,7 +321,7 @@ mod tests {
                 assert!((sun.irradiance.z / sun.irradiance.x - 0.8).abs() < 1e-3);
                 let away = sun.direction.angle_between(panorama.pixel_direction(x, y)).to_degrees();
                 assert!(away < 0.1, "({x}, {y}): {away}°");
-                assert!(rest.pixels().iter().flatten().zip(SKY.iter().cycle()).all(|(a, b)| (a - b).abs() < 1e-5));
+                assert!(rest.pixels().flatten().zip(SKY.iter().cycle()).all(|(a, b)| (a - b).abs() < 1e-5));
             }
         }
     }
@@ -349,8 +346,8 @@ mod tests {
             assert!((f64::from(sun.irradiance.y) / truth - 1.0).abs() < 0.01, "{toward}: {sun:?}, {truth}");
             assert!((0.6..1.1).contains(&sun.angular_diameter.to_degrees()), "{sun:?}");
             // No hole, and nothing far above the sky.
-            let ratio = |(i, rgb): (usize, &[f32; 3])| rgb[1] / dim(search.direction(i))[1];
-            assert!(rest.pixels().iter().enumerate().map(ratio).all(|r| (0.99..FAR_ABOVE).contains(&r)), "{toward}");
+            let ratio = |(i, rgb): (usize, [f32; 3])| rgb[1] / dim(search.direction(i))[1];
+            assert!(rest.pixels().enumerate().map(ratio).all(|r| (0.99..FAR_ABOVE).contains(&r)), "{toward}");
         }
     }
 

@@ -203,10 +203,10 @@ impl<'a> Search<'a> {
                     continue;
                 }
                 for y in top..bottom {
-                    let pixels = &self.panorama.pixels()[y * width..][left..right];
+                    let pixels = (y * width + left..y * width + right).map(|i| self.panorama.pixel_number(i));
                     let own = self.panorama.pixel_solid_angle(y);
                     solid_angle += own * pixels.len() as f64;
-                    light += own * pixels.iter().map(|pixel| f64::from(brightness(pixel))).sum::<f64>();
+                    light += own * pixels.map(|pixel| f64::from(brightness(&pixel))).sum::<f64>();
                 }
             }
         }
@@ -215,9 +215,10 @@ impl<'a> Search<'a> {
 
     /// Σ solid angle × radiance² of bright pixels, those that show no surface included.
     fn squares_of_pixels(&self) -> f64 {
-        let rows = self.panorama.pixels().chunks_exact(self.panorama.width()).enumerate();
-        let squares = rows.map(|(y, row)| {
-            let bright = row.iter().map(brightness).filter(|b| *b > self.limit);
+        let width = self.panorama.width();
+        let squares = (0..self.panorama.height()).map(|y| {
+            let row = (y * width..(y + 1) * width).map(|i| brightness(&self.panorama.pixel_number(i)));
+            let bright = row.filter(|b| *b > self.limit);
             self.panorama.pixel_solid_angle(y) * bright.map(|b| f64::from(b).powi(2)).sum::<f64>()
         });
         squares.sum()
@@ -280,7 +281,7 @@ impl<'a> Search<'a> {
         for row in first[1]..=first[1] + patches {
             let row = row.saturating_sub(1).min(height - 1);
             for column in first[0]..=(first[0] + patches).min(width) {
-                let value = brightness(&self.panorama.pixels()[row * width + column % width]);
+                let value = brightness(&self.panorama.pixel_number(row * width + column % width));
                 extremes = [extremes[0].min(value), extremes[1].max(value)];
             }
         }
@@ -542,7 +543,7 @@ mod tests {
             assert!(emitters.is_empty() && count == 0, "{radius} {radiance}: {count}");
         }
         let mut black = probe(DVec3::ZERO, turn(), 64, &[]);
-        black.panorama.pixels_mut().fill([0.0; 3]);
+        black.panorama.tint([0.0; 3]);
         assert_eq!(found(&[black]).1, 0);
         assert_eq!(found(&[]).1, 0);
     }

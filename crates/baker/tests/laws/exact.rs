@@ -18,7 +18,7 @@ const GAUSS: [(f64, f64); 4] = [
 /// four centres (half a cell above the first and below the last row) by Gauss' rule, in f64.
 pub fn exact_sh(panorama: &Panorama, bands: u32) -> RadianceSh {
     let (width, height) = (panorama.width(), panorama.height());
-    let pixel = |x: usize, y: usize| panorama.pixels()[y * width + x % width].map(f64::from);
+    let pixel = |x: usize, y: usize| panorama.pixel(x % width, y).to_array().map(f64::from);
     let mut sums = [[0.0f64; 3]; sh::MAX_COEFFICIENTS];
     for row in 0..=height {
         let (upper, lower) = (row.max(1) - 1, row.min(height - 1));

@@ -32,13 +32,13 @@ fn shipped_box() -> (Scene, Vec<Probe>) {
 
 /// As a camera would have taken them.
 fn without_distances(probes: &[Probe]) -> Vec<Probe> {
-    let plain = |p: &Panorama| Panorama::new(p.width(), p.height(), p.pixels().to_vec(), None);
+    let plain = |p: &Panorama| Panorama::new(p.width(), p.height(), p.pixels().collect(), None);
     probes.iter().map(|probe| Probe { panorama: plain(&probe.panorama), ..probe.clone() }).collect()
 }
 
 fn exposed(probe: &mut Probe, stops: [f32; 3]) {
     let gain = stops.map(f32::exp2);
-    probe.panorama.pixels_mut().iter_mut().for_each(|pixel| *pixel = [0, 1, 2].map(|c| pixel[c] * gain[c]));
+    probe.panorama = probe.panorama.with_pixels(|_, pixel| [0, 1, 2].map(|c| pixel[c] * gain[c]));
 }
 
 /// Largest of |gain · wrong exposure - 1| over probes and channels.
@@ -98,13 +98,13 @@ fn gains_withstand_noise_and_a_tenth_of_wrong_pixels() {
         for (index, (probe, stops)) in probes.iter_mut().zip(wrong).enumerate() {
             exposed(probe, stops);
             let stream = Stream::new(Sampler::Random, 11, index as u64, 0);
-            for (i, pixel) in probe.panorama.pixels_mut().iter_mut().enumerate() {
+            probe.panorama = probe.panorama.with_pixels(|i, pixel| {
                 let sum = (0..6).flat_map(|pair| stream.point(i as u32, pair)).sum::<f32>();
                 let [chance, size] = stream.point(i as u32, 6);
                 // Highlights, one-sided: twice to eight times as bright.
                 let highlight = if f64::from(chance) < outliers { 2.0 + 6.0 * size } else { 1.0 };
-                *pixel = pixel.map(|v| v * (1.0 + noise * (sum - 6.0)).max(0.0) * highlight);
-            }
+                pixel.map(|v| v * (1.0 + noise * (sum - 6.0)).max(0.0) * highlight)
+            });
         }
         let matched = match_exposure(&scene, &probes);
         let worst = worst_gain(&matched, &wrong);

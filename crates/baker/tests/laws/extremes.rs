@@ -64,7 +64,7 @@ fn bright_pixel_of_a_probe_is_found_on_walls_and_over_edges() {
     for pixel in [[70usize, 50usize], [17, 70], [100, 4]] {
         for bright in [1e5f32, 1e9] {
             let mut probes = plain.clone();
-            probes[0].panorama.pixels_mut()[pixel[1] * 256 + pixel[0]] = [bright; 3];
+            probes[0].panorama = with_pixel(&probes[0].panorama, pixel, [bright; 3]);
             let truth = |node: usize| {
                 let mut sum = pixel_on_walls(walls, probes[0].position, 256, pixel, bright.into(), points[node]);
                 sum.add_scaled(&sh_of(&rest, node), 1.0);
@@ -91,9 +91,8 @@ fn sun_over_a_room_makes_no_firefly() {
         .map(|p| DVec3::new(-2.8, -0.8, -1.8) + p * DVec3::new(1.8, 0.85, 1.35))
         .collect();
     for sun in [1e5, 1e9] {
-        let mut image = panorama(256, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
-        image.pixels_mut()[30 * 256 + 70] = [sun; 3];
-        let sky = distant(image);
+        let image = panorama(256, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
+        let sky = distant(with_pixel(&image, [70, 30], [sun; 3]));
         let function = gdibl(&scene, &probes, Some(&sky));
         let [few, many] =
             [1024, 8192].map(|samples| bake_points(&function, &points, &BakeSettings { samples, ..SMALL }));

@@ -187,7 +187,7 @@ pub fn furnace_error(function: &Gdibl, points: &[DVec3], settings: &BakeSettings
 pub fn white_probes(radiance: [f32; 3]) -> Vec<Probe> {
     let mut probes = coloured_probes();
     for probe in &mut probes {
-        probe.panorama.pixels_mut().fill(radiance);
+        probe.panorama = probe.panorama.with_pixels(|_, _| radiance);
     }
     probes
 }
@@ -255,10 +255,14 @@ pub fn sun_places(width: usize) -> [(&'static str, usize, usize); 6] {
 }
 
 /// A sky with one bright pixel.
-pub fn sky_with_sun(width: usize, [x, y]: [usize; 2], sun: f32) -> Panorama {
-    let mut image = panorama(width, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
-    image.pixels_mut()[y * width + x] = [sun, 0.9 * sun, 0.7 * sun];
-    image
+pub fn sky_with_sun(width: usize, pixel: [usize; 2], sun: f32) -> Panorama {
+    with_pixel(&panorama(width, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]), pixel, [sun, 0.9 * sun, 0.7 * sun])
+}
+
+/// The panorama with one pixel changed.
+pub fn with_pixel(panorama: &Panorama, [x, y]: [usize; 2], radiance: [f32; 3]) -> Panorama {
+    let changed = y * panorama.width() + x;
+    panorama.with_pixels(|index, pixel| if index == changed { radiance } else { pixel })
 }
 
 /// Five probes of unlike colours and sizes before [`plane`].

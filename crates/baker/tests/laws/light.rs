@@ -84,11 +84,11 @@ fn white_furnace_holds_where_half_of_the_level_was_never_seen() {
 fn mixture(scale_a: f32, scale_b: f32) -> Vec<Probe> {
     let (mut probes, other) = (coloured_probes(), coloured_probes());
     for (i, probe) in probes.iter_mut().enumerate() {
-        let other = other[(i + 1) % 3].panorama.pixels();
-        for (k, pixel) in probe.panorama.pixels_mut().iter_mut().enumerate() {
+        let other: Vec<[f32; 3]> = other[(i + 1) % 3].panorama.pixels().collect();
+        probe.panorama = probe.panorama.with_pixels(|k, pixel| {
             let other = other[k * 7 % other.len()];
-            *pixel = [0, 1, 2].map(|c| scale_a * pixel[c] + scale_b * other[(c + 1) % 3]);
-        }
+            [0, 1, 2].map(|c| scale_a * pixel[c] + scale_b * other[(c + 1) % 3])
+        });
     }
     probes
 }

@@ -110,7 +110,7 @@ fn shipped_box(stiff: bool) -> (Scene, Vec<Probe>, Distant) {
     if stiff {
         let (width, height) = (sky.panorama.width(), sky.panorama.height());
         // Toward +Z, 20° up.
-        sky.panorama.pixels_mut()[height * 7 / 18 * width + width / 2] = [5e4; 3];
+        sky.panorama = with_pixel(&sky.panorama, [width / 2, height * 7 / 18], [5e4; 3]);
     }
     (scene, probes.collect(), sky)
 }

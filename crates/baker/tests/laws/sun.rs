@@ -59,7 +59,7 @@ fn sun_in_one_pixel_is_found_wherever_it_stands() {
 fn sunny() -> Distant {
     let mut image = panorama(256, |d| [1.0 + d.y, 1.0, 1.2 + d.x * d.z]);
     for (x, y, share) in [(40, 50, 1.0), (41, 50, 0.8), (40, 51, 0.5), (41, 51, 0.4)] {
-        image.pixels_mut()[y * 256 + x] = [3e4, 2.5e4, 1.5e4].map(|l| l * share);
+        image = with_pixel(&image, [x, y], [3e4, 2.5e4, 1.5e4].map(|l| l * share));
     }
     Distant { rotation: Quat::from_rotation_y(0.7), exposure_stops: -1.0, ..distant(image) }
 }

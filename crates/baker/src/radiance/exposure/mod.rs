@@ -227,7 +227,7 @@ impl PairExposure {
 /// Share of the directions in which the probe's distance is not that of the surface there; `None` without distances.
 fn distances_off(around: &Surroundings, probe: usize) -> Option<f64> {
     let (panorama, placed) = (&around.probes[probe].panorama, &around.placed[probe]);
-    panorama.distances()?;
+    panorama.pixel_distance(0, 0)?;
     let directions = directions_of(placed, around.probes.len());
     let is_off = |direction: &&Vec3| {
         let (x, y) = panorama.pixel_at(placed.to_local * **direction);
@@ -342,9 +342,7 @@ impl ExposureMatch {
             let mean = found.stops.iter().sum::<f64>() / 3.0;
             probe.exposure_stops = (f64::from(probe.exposure_stops) + mean) as f32;
             let tint = found.stops.map(|stops| (stops - mean).exp2() as f32);
-            for pixel in probe.panorama.pixels_mut() {
-                *pixel = std::array::from_fn(|channel| pixel[channel] * tint[channel]);
-            }
+            probe.panorama.tint(tint);
         }
     }
 

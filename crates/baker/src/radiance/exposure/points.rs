@@ -79,7 +79,7 @@ pub fn shared_points(around: &Surroundings) -> Vec<SharedPoint> {
 /// Of each channel, over the pixels where it is not black.
 fn median_pixel(panorama: &Panorama) -> Vec3 {
     Vec3::from(std::array::from_fn(|channel| {
-        let mut all: Vec<f32> = panorama.pixels().iter().map(|pixel| pixel[channel]).filter(|v| *v > 0.0).collect();
+        let mut all: Vec<f32> = panorama.pixels().map(|pixel| pixel[channel]).filter(|v| *v > 0.0).collect();
         let half = all.len() / 2;
         if all.is_empty() { f32::INFINITY } else { *all.select_nth_unstable_by(half, f32::total_cmp).1 }
     }))

@@ -381,9 +381,9 @@ impl<'a> Gdibl<'a> {
         let light = self.surface_light.as_ref();
         let spot = light.and_then(|light| light.at(hit, &lookers, &self.all, &mut context.rays));
         let candidates = spot.map_or(&self.all[..], |spot| spot.candidates());
-        let mut find = |place: &Hit| self.blended_radiance(candidates, place, viewer, context);
-        let remembered = spot.and_then(|spot| spot.remembered(environment, hit, &mut find));
-        let mut seen = remembered.unwrap_or_else(|| find(hit));
+        let find = |place: &Hit, context: &mut PathContext| self.blended_radiance(candidates, place, viewer, context);
+        let remembered = spot.and_then(|spot| spot.remembered(environment, hit, context, find));
+        let mut seen = remembered.unwrap_or_else(|| find(hit, context));
         if self.settings.emission_from_materials {
             seen.value += environment.emission(self.scene, hit);
         }

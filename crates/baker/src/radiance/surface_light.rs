@@ -14,9 +14,10 @@
 
 use glam::{Vec2, Vec3};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::Radiance;
 use super::candidates::{Candidate, Lookers, Place};
+use super::{PathContext, Radiance};
 use crate::trace::{Hit, Surfaces};
 
 /// Rays per patch that pay for its list, which costs as much as some tens of rays. Retuned by `tools/bake_bench`.
@@ -34,7 +35,7 @@ const FINEST: f32 = 0.5;
 /// sure to 0.98 %, differed by 0.11 % from light found anew at 1, and by 0.18 % at 4, where a hundredth of the hits more were
 /// remembered (`tools/bake_bench`).
 const COARSEST: f32 = 0.9;
-/// Knots at most, by area, of all front sides; of all back sides as many again. 80 MB each.
+/// Knots at most, by area, of all front sides; of all back sides as many again. 32 MB each.
 const MOST_KNOTS: f64 = (4 << 20) as f64;
 /// The three knots agree when none differs from their mean by more than this share of it. Half: the same rays and difference,
 /// within 1 %.
@@ -62,8 +63,17 @@ struct Patch {
     candidates: Box<[Candidate]>,
     /// Cells of the lattice along each edge; 0: light is not remembered.
     cells: u32,
-    knots: Box<[OnceLock<Radiance>]>,
+    knots: Box<[Knot]>,
 }
+
+/// Radiance found once and read by all, in one word: nothing (0), uncovered (1), or red, green and blue in units of a common
+/// power of two, and that power.
+#[derive(Debug, Default)]
+struct Knot(AtomicU64);
+
+/// Digits of each channel: the greatest is off by at most 2^-18 of itself, and the others by as much.
+const DIGITS: u32 = 18;
+const UNCOVERED: u64 = 1;
 
 /// Where a hit lies.
 #[derive(Debug, Clone, Copy)]
@@ -134,8 +144,51 @@ impl SurfaceLight {
         let pixel = lookers.finest_pixel(&candidates, place);
         let cells = if lookers.blend.is_seamless() { cells(place.corners, pixel, most) } else { 0 };
         let count = if cells > 0 { knot_count(cells) } else { 0 };
-        Patch { candidates, cells, knots: (0..count).map(|_| OnceLock::new()).collect() }
+        Patch { candidates, cells, knots: (0..count).map(|_| Knot::default()).collect() }
     }
+}
+
+impl Knot {
+    /// What is known there, or else what `find` finds; that counts what it traces in the context, once for each knot, whoever
+    /// else was about to find the same.
+    fn get_or_find(&self, context: &mut PathContext, find: impl FnOnce(&mut PathContext) -> Radiance) -> Radiance {
+        // Relaxed: the word is all there is.
+        let known = self.0.load(Ordering::Relaxed);
+        if known != 0 {
+            return unpack(known);
+        }
+        let before = context.rays;
+        let found = pack(find(context));
+        if self.0.swap(found, Ordering::Relaxed) != 0 {
+            context.rays = before;
+        }
+        unpack(found)
+    }
+}
+
+fn pack(radiance: Radiance) -> u64 {
+    debug_assert!(radiance.coverage == 0.0 || radiance.coverage == 1.0, "a surface point is seen or it is not");
+    if radiance.coverage == 0.0 {
+        return UNCOVERED;
+    }
+    let value = radiance.value.clamp(Vec3::ZERO, Vec3::MAX);
+    // The power of two over the greatest, by its exponent; no smaller than that the unit is an ordinary number.
+    let exponent = (value.max_element().to_bits() >> 23).max(DIGITS) + 1 - DIGITS;
+    let unit = f32::from_bits(exponent << 23);
+    let channel = |value: f32| u64::from(((value / unit + 0.5) as u32).min((1 << DIGITS) - 1));
+    channel(value.x)
+        | channel(value.y) << DIGITS
+        | channel(value.z) << (2 * DIGITS)
+        | u64::from(exponent) << (3 * DIGITS)
+}
+
+fn unpack(word: u64) -> Radiance {
+    if word == UNCOVERED {
+        return Radiance::UNCOVERED;
+    }
+    let unit = f32::from_bits(((word >> (3 * DIGITS)) as u32) << 23);
+    let channel = |number: u32| (word >> (number * DIGITS) & ((1 << DIGITS) - 1)) as f32;
+    Radiance::covered(Vec3::new(channel(0), channel(1), channel(2)) * unit)
 }
 
 impl<'a> Spot<'a> {
@@ -145,12 +198,13 @@ impl<'a> Spot<'a> {
     }
 
     /// Radiance at `hit`, which lies there: interpolated, or `None` where it has to be found for the hit itself. `find` does
-    /// it for a knot.
+    /// it for a knot, and counts what it traces.
     pub fn remembered(
         &self,
         environment: &Surfaces,
         hit: &Hit,
-        mut find: impl FnMut(&Hit) -> Radiance,
+        context: &mut PathContext,
+        find: impl Fn(&Hit, &mut PathContext) -> Radiance,
     ) -> Option<Radiance> {
         let Patch { cells, knots, .. } = self.patch;
         if *cells == 0 {
@@ -158,9 +212,9 @@ impl<'a> Spot<'a> {
         }
         let around = knots_around(self.inner, *cells);
         let found = around.map(|(i, j, _)| {
-            *knots[knot_number(i, j)].get_or_init(|| {
+            knots[knot_number(i, j)].get_or_find(context, |context| {
                 let place = self.corner.place(place(i, j, *cells));
-                find(&environment.point(hit.triangle, place, hit.back))
+                find(&environment.point(hit.triangle, place, hit.back), context)
             })
         });
         let mean = (found[0].value + found[1].value + found[2].value) / 3.0;
@@ -263,6 +317,45 @@ fn knots_around(barycentric: Vec2, cells: u32) -> [(u32, u32, f32); 3] {
 mod tests {
     use super::*;
     use crate::sampling::{Sampler, Stream};
+
+    #[test]
+    fn a_word_holds_radiance_of_any_size() {
+        assert_eq!(unpack(pack(Radiance::UNCOVERED)), Radiance::UNCOVERED);
+        let mut numbers = vec![0.0, 1e-38, 1.0, 1.999_999_9, 2.0, f32::MAX];
+        numbers.extend((-125..128).map(|power| 1.7 * (power as f32).exp2()));
+        for &most in &numbers {
+            for share in [0.0, 1e-6, 0.3, 0.999_999, 1.0] {
+                let value = Vec3::new(most * share, most, 0.25 * most);
+                for value in [value, Vec3::new(value.y, value.z, value.x), Vec3::new(value.z, value.x, value.y)] {
+                    let word = pack(Radiance::covered(value));
+                    assert!(word != 0 && word != UNCOVERED, "{value}");
+                    let held = unpack(word);
+                    assert_eq!(held.coverage, 1.0);
+                    let off = (held.value / 4.0 - value / 4.0).abs().max_element() * 4.0;
+                    assert!(off <= most * (0.5f32).powi(18) + 1e-38, "{value}: {}", held.value);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_knot_is_counted_once_whoever_finds_it() {
+        let context = || PathContext::new(Stream::new(Sampler::Sobol, 0, 0, 0));
+        let (mut first, mut second) = (context(), context());
+        let knot = Knot::default();
+        let light = Radiance::covered(Vec3::new(1.0, 0.5, 0.25));
+        let found = knot.get_or_find(&mut first, |first| {
+            // Another is faster.
+            knot.get_or_find(&mut second, |second| {
+                second.rays += 3;
+                light
+            });
+            first.rays += 3;
+            light
+        });
+        assert_eq!((found, first.rays, second.rays), (light, 0, 3));
+        assert_eq!(knot.get_or_find(&mut first, |_| unreachable!("it is known")), light);
+    }
 
     #[test]
     fn every_place_lies_in_a_patch_of_its_own_number() {

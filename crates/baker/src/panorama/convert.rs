@@ -24,6 +24,9 @@ pub fn to_lat_long(image: &Image, mapping: Mapping, width: Option<usize>) -> Pan
     if let Some(turn) = mapping.turn()
         && width.is_none_or(|width| width == image.width)
     {
+        if turn == 0.0 {
+            return Panorama::of(image);
+        }
         let (pixels, distance) =
             turn_columns(image.width, &image.pixels, image.distance.as_deref(), turn * image.width as f64);
         return Panorama::new(image.width, image.height, pixels, distance);

@@ -90,21 +90,27 @@ impl Panorama {
     ///
     /// Panics when a size is zero or a length does not match: files are checked at import.
     pub fn new(width: usize, height: usize, radiance: Vec<[f32; 3]>, distance: Option<Vec<f32>>) -> Self {
+        Self::of(&Image { width, height, pixels: radiance, distance })
+    }
+
+    /// The same of an image in this layout.
+    fn of(Image { width, height, pixels, distance }: &Image) -> Self {
+        let (width, height) = (*width, *height);
         assert!(width > 0 && height > 0, "a panorama needs pixels: {width} x {height}");
-        assert_eq!(radiance.len(), width * height, "radiance of a {width} x {height} panorama");
-        if let Some(distance) = &distance {
+        assert_eq!(pixels.len(), width * height, "radiance of a {width} x {height} panorama");
+        if let Some(distance) = distance {
             assert_eq!(distance.len(), width * height, "distance of a {width} x {height} panorama");
             debug_assert!(distance.iter().all(|z| *z >= 0.0), "a distance is negative or NaN");
         }
         debug_assert!(
-            radiance.iter().flatten().all(|v| v.is_finite() && *v >= 0.0),
+            pixels.iter().flatten().all(|v| v.is_finite() && *v >= 0.0),
             "a radiance is negative or not finite"
         );
         let sin_cos = |angle: f64| [angle.sin() as f32, angle.cos() as f32];
         let longitude = (0..width).map(|x| sin_cos(2.0 * PI * (0.5 - (x as f64 + 0.5) / width as f64))).collect();
         let latitude = (0..height).map(|y| sin_cos(PI * (0.5 - (y as f64 + 0.5) / height as f64))).collect();
-        let has_distances = distance.is_some();
-        Panorama { width, height, texels: Texels::new(radiance, distance), has_distances, longitude, latitude }
+        let texels = Texels::new(pixels, distance.as_deref());
+        Panorama { width, height, texels, has_distances: distance.is_some(), longitude, latitude }
     }
 
     /// Columns.

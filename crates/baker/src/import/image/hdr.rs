@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader, Cursor, ErrorKind, Read};
 use std::path::Path;
 
 use ::image::codecs::hdr::HdrDecoder;
-use ::image::{DynamicImage, ImageError};
+use ::image::{ImageDecoder, ImageError};
 
 use super::{Decoded, Pose, check_size, guard};
 use crate::panorama::Image;
@@ -46,13 +46,13 @@ pub(super) fn decode(path: &Path, file: &File, length: u64) -> Result<Decoded> {
     }
     // The decoder gets a header without surprises, whatever line ends and comments the file had.
     let plain = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n");
-    let samples = guard(path, || {
+    let mut pixels = guard(path, || {
         let decoder =
             HdrDecoder::with_strictness(Cursor::new(plain).chain(reader), false).map_err(|e| convert_error(path, e))?;
-        Ok(DynamicImage::from_decoder(decoder).map_err(|e| convert_error(path, e))?.into_rgb32f().into_raw())
+        let mut pixels = vec![[0.0f32; 3]; width * height];
+        decoder.read_image(bytemuck::cast_slice_mut(&mut pixels)).map_err(|e| convert_error(path, e))?;
+        Ok(pixels)
     })?;
-    let mut pixels = samples.as_chunks::<3>().0.to_vec();
-    drop(samples);
     if exposure != [1.0; 3] {
         for pixel in &mut pixels {
             *pixel = std::array::from_fn(|c| (f64::from(pixel[c]) / exposure[c]) as f32);

@@ -1,6 +1,6 @@
 //! The pixels of a panorama as lookups read them: radiance beside distance, in half floats where those hold them without loss.
 //!
-//! HDR files hold 8 digits of a number, most OpenEXR files and all captured probes 11: halves have those, as far as
+//! HDR files hold 8 binary digits of a number, most OpenEXR files and all captured probes 11: halves have those, as far as
 //! a panorama's light spans no more than some 2^30. Any other is held in full.
 
 use glam::Vec4;

@@ -71,7 +71,7 @@ struct Patch {
 #[derive(Debug, Default)]
 struct Knot(AtomicU64);
 
-/// Digits of each channel: the greatest is off by at most 2^-18 of itself, and the others by as much.
+/// Binary digits of each channel: the greatest is off by at most 2^-18 of itself, and the others by as much.
 const DIGITS: u32 = 18;
 const UNCOVERED: u64 = 1;
 

@@ -19,8 +19,10 @@ use super::{Panorama, brightness};
 pub struct Importance {
     width: usize,
     height: usize,
-    /// Mean of R, G and B per pixel, times the cosine of its latitude: the light of equal steps in longitude and latitude.
-    light: Vec<f32>,
+    /// Mean of R, G and B per pixel, times the cosine of its latitude: the light of equal steps in longitude and latitude. Upper
+    /// half of a float: the density is what it is by these numbers, so that all that their 8 binary digits cost is noise of 0.1 % of one
+    /// direction, and twice as many lie in the cache.
+    light: Vec<u16>,
     tiles: Tiles,
     /// Share of the light in each tile.
     power: Vec<f64>,
@@ -43,7 +45,7 @@ impl Importance {
         let (width, height) = (panorama.width(), panorama.height());
         let cosine = |row: usize| (PI * (0.5 - (row as f64 + 0.5) / height as f64)).cos() as f32;
         let light = panorama.pixels().enumerate();
-        let light = light.map(|(i, pixel)| brightness(&pixel) * cosine(i / width)).collect();
+        let light = light.map(|(i, pixel)| upper_half(brightness(&pixel) * cosine(i / width))).collect();
         let tiles = Tiles::new(width, height);
         let columns = vec![0.0; (height + 1) * (width + tiles.across())];
         let mut importance = Importance {
@@ -167,7 +169,7 @@ impl Importance {
     /// Light at the corners of a cell: upper left, upper right, lower left, lower right. At the poles there is none.
     fn corners(&self, row: usize, column: usize) -> [f32; 4] {
         let right = if column + 1 == self.width { 0 } else { column + 1 };
-        let line = |row: usize| [row * self.width + column, row * self.width + right].map(|i| self.light[i]);
+        let line = |row: usize| [row * self.width + column, row * self.width + right].map(|i| whole(self.light[i]));
         let [a, b] = if row > 0 { line(row - 1) } else { [0.0; 2] };
         let [c, d] = if row < self.height { line(row) } else { [0.0; 2] };
         [a, b, c, d]
@@ -182,6 +184,16 @@ impl Importance {
         let cells = if row == 0 || row == self.height { 0.5 } else { 1.0 };
         cells / self.height as f64
     }
+}
+
+/// The half of a float's bits that has its exponent, rounded.
+fn upper_half(value: f32) -> u16 {
+    // The greatest stay finite.
+    ((value.min(3e38).to_bits() + (1 << 15)) >> 16) as u16
+}
+
+fn whole(upper_half: u16) -> f32 {
+    f32::from_bits(u32::from(upper_half) << 16)
 }
 
 /// Inverse of the cumulative of a density that runs linearly from `a` to `b` over 0..=1.

@@ -35,6 +35,8 @@ pub struct Importance {
     /// Of each cell row and each tile in it: share of that light left of each cell; the last is 1. In its own tile a dim
     /// cell keeps its digits beside a sun of 1e9.
     columns: Vec<f32>,
+    /// What all light is divided by: of a panorama so many times as bright it is the same to the last digit or so.
+    brightest: f32,
     /// Integral of the density before normalisation.
     total: f64,
 }
@@ -44,8 +46,9 @@ impl Importance {
     pub fn new(panorama: &Panorama) -> Option<Importance> {
         let (width, height) = (panorama.width(), panorama.height());
         let cosine = |row: usize| (PI * (0.5 - (row as f64 + 0.5) / height as f64)).cos() as f32;
-        let light = panorama.pixels().enumerate();
-        let light = light.map(|(i, pixel)| upper_half(brightness(&pixel) * cosine(i / width))).collect();
+        let light = panorama.pixels().enumerate().map(|(i, pixel)| brightness(&pixel) * cosine(i / width));
+        let brightest = light.clone().fold(0.0, f32::max).max(f32::MIN_POSITIVE);
+        let light = light.map(|light| upper_half(light / brightest)).collect();
         let tiles = Tiles::new(width, height);
         let columns = vec![0.0; (height + 1) * (width + tiles.across())];
         let mut importance = Importance {
@@ -57,6 +60,7 @@ impl Importance {
             rows: Vec::new(),
             first_row: Vec::new(),
             columns,
+            brightest,
             total: 0.0,
             tiles,
         };
@@ -158,7 +162,7 @@ impl Importance {
     /// Mean of the radiance over the sphere.
     pub fn mean(&self) -> f64 {
         // ∫ L dω = 2π² ∫∫ L cos(latitude) du dv, over 4π.
-        0.5 * PI * self.total
+        0.5 * PI * self.total * f64::from(self.brightest)
     }
 
     /// p(u, v) = light / total; p(ω) = p(u, v) / (2π² cos(latitude)).
@@ -188,8 +192,7 @@ impl Importance {
 
 /// The half of a float's bits that has its exponent, rounded.
 fn upper_half(value: f32) -> u16 {
-    // The greatest stay finite.
-    ((value.min(3e38).to_bits() + (1 << 15)) >> 16) as u16
+    ((value.to_bits() + (1 << 15)) >> 16) as u16
 }
 
 fn whole(upper_half: u16) -> f32 {

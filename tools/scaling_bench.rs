@@ -7,7 +7,7 @@
 use cpu_time::ProcessTime;
 use gdibl_baker::bake::{BakeSettings, Nodes};
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
-use gdibl_baker::radiance::{Distant, Guide, PathContext, Radiance, RadianceFunction, Seen};
+use gdibl_baker::radiance::{Distant, Guide, PathContext, Radiance, RadianceFunction};
 use gdibl_baker::scene::{Mesh, Scene};
 use gdibl_baker::trace::{Frame, Level};
 use gdibl_runtime::sh;
@@ -208,18 +208,6 @@ impl RadianceFunction for Constant<'_> {
     fn radiance(&self, _: Vec3, _: Vec3, _: &mut PathContext) -> Radiance {
         Radiance { value: Vec3::ONE, coverage: 1.0 }
     }
-
-    fn look(
-        &self,
-        origin: Vec3,
-        direction: Vec3,
-        context: &mut PathContext,
-        _: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
-    ) -> Radiance {
-        self.radiance(origin, direction, context)
-    }
-
-    fn punctual(&self, _: Vec3, _: &mut PathContext, _: impl FnMut(Vec3, Vec3)) {}
 }
 
 fn by_parts(scene: &Scene, probes: &[Probe], distant: &Distant) {

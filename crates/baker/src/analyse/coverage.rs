@@ -18,7 +18,7 @@ use std::f32::consts::PI;
 
 use crate::capture::free_space::{FreeSpace, Looker, Sight};
 use crate::radiance::path::Path;
-use crate::radiance::{Guide, PathContext, Radiance, RadianceFunction, Seen};
+use crate::radiance::{Guide, PathContext, Radiance, RadianceFunction};
 use crate::sampling::{Sampler, Stream, streams};
 use crate::trace::{Frame, Hit, Level};
 
@@ -162,19 +162,6 @@ impl RadianceFunction for CoveragePaint<'_> {
         context.rays += 1;
         Radiance::covered(self.color(origin, direction))
     }
-
-    /// Nothing is shaded: colours are what they are.
-    fn look(
-        &self,
-        origin: Vec3,
-        direction: Vec3,
-        context: &mut PathContext,
-        _: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
-    ) -> Radiance {
-        self.radiance(origin, direction, context)
-    }
-
-    fn punctual(&self, _: Vec3, _: &mut PathContext, _: impl FnMut(Vec3, Vec3)) {}
 }
 
 fn degrees(pixels: f32) -> f32 {

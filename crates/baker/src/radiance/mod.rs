@@ -42,18 +42,20 @@ pub trait RadianceFunction: Sync {
 
     /// The same for a ray of a camera. `shade` is asked first about every surface that the ray meets, as far as light is
     /// computed there: not about environment geometry that shows its probes. Where it has no answer, the function has, by the
-    /// shading normal of that surface.
+    /// shading normal of that surface. Unless the function says otherwise nothing is shaded, and a camera sees what nodes do.
     fn look(
         &self,
         origin: Vec3,
         direction: Vec3,
         context: &mut PathContext,
-        shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
-    ) -> Radiance;
+        _shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
+    ) -> Radiance {
+        self.radiance(origin, direction, context)
+    }
 
     /// Calls `add(direction, irradiance)` for every punctual light that is seen from `origin`: the direct light, of which
-    /// [`RadianceFunction::radiance`] tells nothing.
-    fn punctual(&self, origin: Vec3, context: &mut PathContext, add: impl FnMut(Vec3, Vec3));
+    /// [`RadianceFunction::radiance`] tells nothing. Unless the function says otherwise there are none.
+    fn punctual(&self, _origin: Vec3, _context: &mut PathContext, _add: impl FnMut(Vec3, Vec3)) {}
 }
 
 /// Radiance that arrives along a ray.

@@ -18,8 +18,9 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 
 use super::irradiance::{Irradiance, difference, irradiance_of, root_mean_square};
+use super::sample::Batch;
 use super::standing::{Sites, Standing};
-use super::{BakeSettings, Baked, Batch, Nodes, SparseGrid, bake, finish};
+use super::{BakeSettings, Baked, Nodes, SparseGrid, bake, finish};
 use crate::radiance::RadianceFunction;
 use crate::records::{ErrorSummary, SparseLevel, SparseRecord};
 use crate::trace::Level;

@@ -8,31 +8,18 @@
 
 use gdibl_runtime::bricks::Corners;
 use gdibl_runtime::grid::trilinear;
-use gdibl_runtime::walls::{BIAS, MOST_PLANES};
+use gdibl_runtime::walls::{BIAS, MOST_PLANES, Plane, WallCell};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::Baked;
+use super::baked::{Baked, Walls};
 use super::cells::Cells;
 use super::irradiance::{Irradiance, irradiance_of, strength};
 use crate::radiance::RadianceFunction;
 use crate::trace::{Frame, Level};
 use crate::{Control, Interrupted};
-
-pub use gdibl_runtime::walls::{Plane, WallCell};
-
-/// What the runtime needs to keep light on its side of walls.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Walls {
-    /// A position p, relative to the grid's min, is on the positive side if normal·p > distance.
-    pub planes: Vec<Plane>,
-    /// In order of their cells.
-    pub cells: Vec<WallCell>,
-    /// Cells with walls that need more planes than there may be in a file.
-    pub dropped: usize,
-}
 
 /// Cells that one worker looks at in a row.
 const CELLS_AT_A_TIME: usize = 32;

@@ -1,0 +1,287 @@
+//! Samples nodes until they are known well enough, in batches.
+
+use gdibl_runtime::sh;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::Mutex;
+
+use super::baked::BakeSettings;
+use super::integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence};
+use super::nodes::Nodes;
+use super::standing::{Sites, Standing};
+use crate::radiance::{PathContext, RadianceFunction};
+use crate::sampling::{Sampler, Stream};
+use crate::{Control, Interrupted};
+
+/// Samples of the pilot that finds the median irradiance, and of the first round of adaptive sampling.
+const PILOT_SAMPLES: u64 = 256;
+
+/// Nodes that stand near each other and tell each other what they see.
+const NEIGHBOURS: usize = 8;
+
+/// Some nodes, and what was found at them.
+pub(super) struct Batch {
+    pub sites: Sites,
+    pub sampled: Sampled,
+    /// Irradiance of the volume.
+    pub median: f64,
+}
+
+impl Batch {
+    /// Samples the nodes of these numbers. `median` of others that were sampled before; else it is found.
+    pub fn sample(
+        nodes: &Nodes,
+        numbers: Vec<u32>,
+        median: Option<f64>,
+        function: &impl RadianceFunction,
+        settings: &BakeSettings,
+        control: &Control,
+    ) -> Result<Batch, Interrupted> {
+        let mut sites = Sites::find(nodes, numbers, function, control)?;
+        let count = sites.numbers.len();
+        let open = sites.open(nodes.neighbourhoods(&sites.numbers).into_iter());
+        (control.progress)((count - open.len()) as u64, sites.rays);
+        let job = Job { nodes, sites: &sites, function, settings, control };
+        let median = match settings.target_error {
+            Some(_) if settings.samples > PILOT_SAMPLES && median.is_none() => Some(job.pilot(&open)?),
+            _ => median,
+        };
+        let enough = |done: u64, estimate: Option<&NodeEstimate>| match (settings.target_error, median, estimate) {
+            (Some(_), Some(_), None) => PILOT_SAMPLES.min(settings.samples),
+            (Some(target), Some(median), Some(estimate)) => {
+                let relative = relative_error(estimate, median);
+                // Double until the target is met.
+                if relative <= target { done } else { (2 * done).min(settings.samples) }
+            }
+            _ => settings.samples,
+        };
+        let mut sampled = Sampled::new(count, settings);
+        job.sample(&open, enough, &mut sampled)?;
+        let median = median.unwrap_or_else(|| median_irradiance(&sampled.estimates));
+        let is_dark = |sampled: &Sampled, node: &u32| sampled.estimates[*node as usize].is_dark(median);
+        let dark: Vec<u32> = sites.suspects.iter().copied().filter(|node| is_dark(&sampled, node)).collect();
+        let out = sites.step_out(&dark, nodes, function);
+        let silent = Control { cancel: control.cancel, progress: &|_, rays| (control.progress)(0, rays) };
+        Job { nodes, sites: &sites, function, settings, control: &silent }.sample(&out, enough, &mut sampled)?;
+        for node in out.into_iter().filter(|node| !is_dark(&sampled, node)) {
+            sites.standing[node as usize] = Standing::Open;
+        }
+        for (standing, estimate) in sites.standing.iter_mut().zip(&sampled.estimates) {
+            if *standing == Standing::Open && estimate.coverage == 0.0 {
+                *standing = Standing::Uncovered;
+            }
+        }
+        Ok(Batch { sites, sampled, median })
+    }
+
+    /// Others behind these.
+    pub fn append(&mut self, other: Batch) {
+        self.sites.append(other.sites);
+        let Sampled { sh, coefficient_error, estimates, rays, samples } = other.sampled;
+        self.sampled.sh.extend(sh);
+        self.sampled.coefficient_error.extend(coefficient_error);
+        self.sampled.estimates.extend(estimates);
+        self.sampled.rays += rays;
+        self.sampled.samples += samples;
+    }
+
+    /// Those at these places, as the nodes 0 and up. What all took is what these took.
+    pub fn selected(&self, places: &[u32], settings: &BakeSettings) -> Batch {
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        let rows = |all: &[f32]| match all.is_empty() {
+            true => Vec::new(),
+            false => places.iter().flat_map(|p| &all[*p as usize * stride..][..stride]).copied().collect(),
+        };
+        let sampled = Sampled {
+            sh: rows(&self.sampled.sh),
+            coefficient_error: rows(&self.sampled.coefficient_error),
+            estimates: places.iter().map(|place| self.sampled.estimates[*place as usize]).collect(),
+            rays: self.sampled.rays,
+            samples: self.sampled.samples,
+        };
+        let median = median_irradiance(&sampled.estimates);
+        Batch { sites: self.sites.selected(places), sampled, median }
+    }
+}
+
+/// What is kept of a node besides its coefficients.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Summary {
+    pub standard_error: f64,
+    pub worst_error: f64,
+    pub rms_irradiance: f64,
+    pub coverage: f64,
+    /// ∫ L dω that clamping took, and that is left, over R, G and B.
+    pub clamped: f64,
+    pub kept: f64,
+}
+
+/// Light under this share of the volume's median is next to none: a solid's walls may leak a little.
+const NEXT_TO_NONE: f64 = 1e-3;
+
+impl Summary {
+    /// Next to no light gets there, or none that is known.
+    fn is_dark(&self, median: f64) -> bool {
+        self.coverage == 0.0 || self.rms_irradiance <= NEXT_TO_NONE * median
+    }
+
+    /// An error of E over the larger of the node's own RMS of E and a tenth of the median.
+    pub fn relative(&self, error: f64, median: f64) -> f64 {
+        let floor = self.rms_irradiance.max(0.1 * median);
+        // All black: nothing is wrong with it.
+        if error == 0.0 { 0.0 } else { error / floor }
+    }
+}
+
+fn relative_error(estimate: &NodeEstimate, median: f64) -> f64 {
+    Summary::from(estimate).relative(estimate.standard_error, median)
+}
+
+impl From<&NodeEstimate> for Summary {
+    fn from(e: &NodeEstimate) -> Self {
+        Summary {
+            standard_error: e.standard_error,
+            worst_error: e.worst_error,
+            rms_irradiance: e.rms_irradiance,
+            coverage: e.coverage,
+            clamped: e.clamped,
+            kept: e.sh[0].iter().sum::<f64>() * (4.0 * std::f64::consts::PI).sqrt(),
+        }
+    }
+}
+
+fn median_irradiance(estimates: &[Summary]) -> f64 {
+    let lit = estimates.iter().filter(|e| e.coverage > 0.0 && e.rms_irradiance > 0.0);
+    let mut valid: Vec<f64> = lit.map(|e| e.rms_irradiance).collect();
+    if valid.is_empty() {
+        return 0.0;
+    }
+    let middle = valid.len() / 2;
+    *valid.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+pub(super) struct Sampled {
+    pub sh: Vec<f32>,
+    /// Empty unless asked for.
+    pub coefficient_error: Vec<f32>,
+    pub estimates: Vec<Summary>,
+    pub rays: u64,
+    pub samples: u64,
+}
+
+impl Sampled {
+    /// Coefficients of one node.
+    pub fn node(&self, place: usize, settings: &BakeSettings) -> &[f32] {
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        &self.sh[place * stride..][..stride]
+    }
+
+    fn new(nodes: usize, settings: &BakeSettings) -> Sampled {
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        Sampled {
+            sh: vec![0.0f32; stride * nodes],
+            coefficient_error: vec![0.0; if settings.coefficient_errors { stride * nodes } else { 0 }],
+            estimates: vec![Summary::default(); nodes],
+            rays: 0,
+            samples: 0,
+        }
+    }
+}
+
+/// What is sampled, and how. Nodes go by their places in the lists of `sites`.
+struct Job<'a, F> {
+    nodes: &'a Nodes,
+    sites: &'a Sites,
+    function: &'a F,
+    settings: &'a BakeSettings,
+    control: &'a Control<'a>,
+}
+
+impl<F: RadianceFunction> Job<'_, F> {
+    /// Median RMS of E over these nodes, from a few samples each: the floor of relative errors.
+    fn pilot(&self, which: &[u32]) -> Result<f64, Interrupted> {
+        let mut sampled = Sampled::new(self.sites.numbers.len(), self.settings);
+        let silent = Control { cancel: self.control.cancel, progress: &|_, _| {} };
+        Job { control: &silent, ..*self }.sample(which, |_, _| PILOT_SAMPLES, &mut sampled)?;
+        Ok(median_irradiance(&sampled.estimates))
+    }
+
+    /// Samples these nodes, of which those in a row stand near each other, until `enough` says so (see
+    /// [`Integrator::integrate`]).
+    fn sample(
+        &self,
+        which: &[u32],
+        enough: impl Fn(u64, Option<&NodeEstimate>) -> u64 + Sync,
+        sampled: &mut Sampled,
+    ) -> Result<(), Interrupted> {
+        let Job { function, settings, control, .. } = *self;
+        let stride = 3 * sh::coefficient_count(settings.bands);
+        let sampled = Mutex::new(sampled);
+        let integration =
+            IntegratorSettings { bands: settings.bands, clamp: settings.clamp, importance: settings.importance };
+        which.par_chunks(NEIGHBOURS).with_max_len(1).try_for_each_init(
+            || Integrator::new(integration),
+            |integrator, neighbours| {
+                let mut known_rays = 0;
+                let places: Vec<Place> = neighbours
+                    .iter()
+                    .map(|&index| {
+                        let origin = self.sites.place(index, self.nodes, function);
+                        let node = u64::from(self.sites.numbers[index as usize]);
+                        let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node };
+                        let known = match settings.punctual {
+                            true => punctual_light(function, origin, &mut known_rays),
+                            false => NO_LIGHT,
+                        };
+                        Place { sequence, origin, known }
+                    })
+                    .collect();
+                // A node may take minutes: its rays stop, too.
+                let radiance = |origin: Vec3, direction: Vec3, context: &mut PathContext| {
+                    (!control.cancelled()).then(|| function.radiance(origin, direction, context))
+                };
+                let estimates = integrator.integrate(function.guide(), &places, radiance, &enough)?;
+                let rays = known_rays + estimates.iter().map(|estimate| estimate.rays).sum::<u64>();
+                let mut sampled = sampled.lock().expect("no worker panics");
+                for (&index, estimate) in neighbours.iter().zip(&estimates) {
+                    let index = index as usize;
+                    let own = index * stride..(index + 1) * stride;
+                    store(&mut sampled.sh[own.clone()], &estimate.sh);
+                    if settings.coefficient_errors {
+                        store(&mut sampled.coefficient_error[own], &estimate.coefficient_error);
+                    }
+                    sampled.estimates[index] = Summary::from(estimate);
+                    sampled.samples += estimate.samples;
+                }
+                sampled.rays += rays;
+                drop(sampled);
+                (control.progress)(estimates.len() as u64, rays);
+                Ok(())
+            },
+        )
+    }
+}
+
+fn store(out: &mut [f32], moments: &Moments) {
+    for (value, sum) in out.chunks_exact_mut(3).zip(moments) {
+        value.copy_from_slice(&sum.map(|s| s as f32));
+    }
+}
+
+const NO_LIGHT: Moments = [[0.0; 3]; sh::MAX_COEFFICIENTS];
+
+/// Coefficients of the direct light of punctual lights: a direction ω that brings irradiance E to a surface facing it
+/// has L_lm = E Y_lm(ω).
+fn punctual_light(function: &impl RadianceFunction, origin: Vec3, rays: &mut u64) -> Moments {
+    let mut moments = NO_LIGHT;
+    let mut context = PathContext::new(Stream::new(Sampler::Sobol, 0, 0, 0));
+    function.punctual(origin, &mut context, |direction, irradiance| {
+        let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+        sh::basis(sh::MAX_BANDS, direction.to_array(), &mut basis);
+        for (sum, y) in moments.iter_mut().zip(basis) {
+            (0..3).for_each(|channel| sum[channel] += f64::from(irradiance[channel]) * f64::from(y));
+        }
+    });
+    *rays += context.rays;
+    moments
+}

@@ -8,7 +8,7 @@
 use glam::Vec3;
 
 use super::blend::BlendRule;
-use super::gdibl::PlacedProbe;
+use super::probe::PlacedProbe;
 use crate::scene::Scene;
 use crate::trace::{Sight, Surfaces, nearest_point};
 
@@ -22,6 +22,19 @@ pub struct Candidate {
     pub probe: u32,
     /// It sees all of what is asked about: no line of sight needs tracing.
     pub sees_all: bool,
+}
+
+/// Memory for the candidates of one surface point, reused from ray to ray.
+#[derive(Debug, Default)]
+pub struct Scratch {
+    /// Probes on the right side of the surface, best first.
+    pub candidates: Vec<(f32, Candidate)>,
+    /// Of the probes that see it, best first.
+    pub merits: Vec<f32>,
+    /// What those show there, and the share of the line to each that is clear.
+    pub seen: Vec<(Vec3, f32)>,
+    /// How they share the point.
+    pub weights: Vec<f32>,
 }
 
 /// A part of one side of a triangle.

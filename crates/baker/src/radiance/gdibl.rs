@@ -5,7 +5,7 @@
 //! the surface instead of a share of the ray's length (that made thin walls leak); partly clear surfaces divide a
 //! ray; uncovered directions are filled by the integrator, so that the result does not depend on the order of rays.
 
-use glam::{DVec3, Mat3, Quat, Vec3};
+use glam::{DVec3, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
 use super::blend::{BlendRule, View};
@@ -13,30 +13,17 @@ use super::candidates::{Candidate, Lookers};
 use super::effects::{EffectCache, PARTS};
 use super::emitters::bright_triangles;
 use super::guide::Guide;
+use super::probe::PlacedProbe;
 use super::punctual::Punctual;
 use super::regions::{Regions, Surroundings, bright_regions};
 use super::sky::{Distant, Sky};
 use super::surface_light::SurfaceLight;
 use super::{PathContext, Radiance, RadianceFunction, Seen};
-use crate::panorama::Panorama;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
 
-/// A light probe, placed in the world.
-#[derive(Debug, Clone)]
-pub struct Probe {
-    /// Where to find it again: the file's name.
-    pub name: String,
-    /// World position, metres.
-    pub position: DVec3,
-    /// Probe to world.
-    pub rotation: Quat,
-    /// Radiance = pixel × 2^exposure_stops.
-    pub exposure_stops: f32,
-    /// The image.
-    pub panorama: Panorama,
-}
+pub use super::probe::Probe;
 
 /// What a ray does at scene geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -113,27 +100,6 @@ const ROULETTE: u32 = 2 * MAX_STEPS;
 /// And those of next-event estimation after these.
 const NEXT_EVENT: u32 = 4 * MAX_STEPS;
 
-/// A probe as the function uses it: in trace space, rotation turned round.
-#[derive(Debug)]
-pub(super) struct PlacedProbe {
-    pub position: Vec3,
-    pub to_local: Mat3,
-    pub gain: f32,
-    /// How many.
-    pub pixels: f32,
-}
-
-impl PlacedProbe {
-    pub fn new(probe: &Probe, frame: &Frame) -> PlacedProbe {
-        PlacedProbe {
-            position: frame.to_trace(probe.position),
-            to_local: Mat3::from_quat(probe.rotation.inverse()),
-            gain: probe.exposure_stops.exp2(),
-            pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
-        }
-    }
-}
-
 /// The function, ready to be called from any thread.
 #[derive(Debug)]
 pub struct Gdibl<'a> {
@@ -170,16 +136,6 @@ enum Change {
     Behind(Hit),
     /// Nothing; the ray escapes.
     None,
-}
-
-/// Memory reused from ray to ray.
-#[derive(Debug, Default)]
-pub struct Scratch {
-    /// Probes on the right side of the surface, best first.
-    candidates: Vec<(f32, Candidate)>,
-    merits: Vec<f32>,
-    seen: Vec<(Vec3, f32)>,
-    weights: Vec<f32>,
 }
 
 impl<'a> Gdibl<'a> {

@@ -9,6 +9,7 @@ pub mod gdibl;
 mod guide;
 mod outlook;
 pub mod path;
+mod probe;
 mod punctual;
 mod regions;
 mod seen;
@@ -19,6 +20,7 @@ use glam::Vec3;
 
 use crate::sampling::Stream;
 use crate::trace::{Frame, Level};
+use candidates::Scratch;
 pub use guide::{Guide, Technique, UNIFORM_SHARE, Vantage};
 pub use outlook::{Glance, GlanceSums, Outlook};
 pub use seen::Seen;
@@ -95,7 +97,7 @@ pub struct PathContext {
     pub rays: u64,
     /// Trace units to what the ray at hand met first, infinite where it escaped; `None` until it is known.
     pub reach: Option<f32>,
-    scratch: gdibl::Scratch,
+    scratch: Scratch,
 }
 
 impl PathContext {

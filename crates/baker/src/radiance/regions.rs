@@ -18,7 +18,7 @@ use glam::{DVec3, Mat3, Vec3};
 use std::f64::consts::PI;
 
 use super::emitters::Emitter;
-use super::gdibl::{PlacedProbe, Probe};
+use super::probe::{PlacedProbe, Probe};
 use crate::panorama::{Panorama, brightness};
 use crate::scene::Scene;
 use crate::trace::{Frame, Hit, Surfaces};

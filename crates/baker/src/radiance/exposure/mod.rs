@@ -29,7 +29,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::gdibl::{PlacedProbe, Probe};
+use super::probe::{PlacedProbe, Probe};
 use super::regions::Surroundings;
 use crate::Finding;
 use crate::panorama::PLANE_TOLERANCE;

@@ -14,7 +14,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-use super::super::gdibl::PlacedProbe;
+use super::super::probe::PlacedProbe;
 use super::super::regions::Surroundings;
 use super::robust::{median, spread_about};
 use crate::panorama::Panorama;

@@ -1,0 +1,42 @@
+//! Light probes, and what the radiance function needs of them at hand.
+
+use glam::{DVec3, Mat3, Quat, Vec3};
+
+use crate::panorama::Panorama;
+use crate::trace::Frame;
+
+/// A light probe, placed in the world.
+#[derive(Debug, Clone)]
+pub struct Probe {
+    /// Where to find it again: the file's name.
+    pub name: String,
+    /// World position, metres.
+    pub position: DVec3,
+    /// Probe to world.
+    pub rotation: Quat,
+    /// Radiance = pixel × 2^exposure_stops.
+    pub exposure_stops: f32,
+    /// The image.
+    pub panorama: Panorama,
+}
+
+/// A probe as the function uses it: in trace space, rotation turned round.
+#[derive(Debug)]
+pub(super) struct PlacedProbe {
+    pub position: Vec3,
+    pub to_local: Mat3,
+    pub gain: f32,
+    /// How many.
+    pub pixels: f32,
+}
+
+impl PlacedProbe {
+    pub fn new(probe: &Probe, frame: &Frame) -> PlacedProbe {
+        PlacedProbe {
+            position: frame.to_trace(probe.position),
+            to_local: Mat3::from_quat(probe.rotation.inverse()),
+            gain: probe.exposure_stops.exp2(),
+            pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
+        }
+    }
+}

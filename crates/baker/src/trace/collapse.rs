@@ -15,7 +15,7 @@ use glam::Vec3;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
 
-use super::tree::{Child, Node, WIDTH};
+use super::node::{Child, Hierarchy, Node, WIDTH};
 use super::triangle::{LANES, TriangleBlock};
 
 /// What a node costs, in blocks of triangles: mostly that nobody can tell how many children the ray enters. From 2.5 to 5
@@ -41,14 +41,14 @@ pub struct Collapse<'a> {
 }
 
 impl Collapse<'_> {
-    /// Nodes, the root first, and blocks. From `max_depth` nodes down (at most [`MAX_DEPTH`]), triangles are divided by count.
-    pub fn run(binary: &Bvh2, triangles: &[[Vec3; 3]], max_depth: usize) -> (Vec<Node>, Vec<TriangleBlock>) {
+    /// The hierarchy. From `max_depth` nodes down (at most [`MAX_DEPTH`]), triangles are divided by count.
+    pub fn run(binary: &Bvh2, triangles: &[[Vec3; 3]], max_depth: usize) -> Hierarchy {
         let (costs, counts) = (vec![[0.0; WIDTH - 1]; binary.nodes.len()], vec![0; binary.nodes.len()]);
         let (nodes, blocks) = (Vec::new(), Vec::new());
         let mut collapse = Collapse { binary, triangles, max_depth, costs, counts, nodes, blocks };
         collapse.find_costs();
         collapse.build();
-        (collapse.nodes, collapse.blocks)
+        Hierarchy { nodes: collapse.nodes, blocks: collapse.blocks }
     }
 
     /// Bottom up.

@@ -6,9 +6,6 @@ use std::cell::Cell;
 use super::{Hit, Surfaces};
 use crate::scene::Scene;
 
-/// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
-pub(crate) const MAX_LAYERS: u32 = 64;
-
 /// All surfaces of a level; none in plain image based lighting. For one thread: it counts its rays.
 #[derive(Debug)]
 pub struct Level<'a> {

@@ -6,25 +6,31 @@
 
 mod collapse;
 mod level;
+mod node;
 mod shaft;
 mod simd;
+mod stack;
 mod star;
+mod traverse;
 mod tree;
 mod triangle;
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use crate::scene::{Alpha, Material, Mesh, Scene};
-pub(crate) use level::MAX_LAYERS;
 pub use level::{Level, Met};
 pub use shaft::Sight;
-pub use tree::{Tree, TreeHit};
+pub use tree::Tree;
+pub use triangle::TreeHit;
 
 /// Half the size of the level in trace units lies in `TRACE_EXTENT/2 ..= TRACE_EXTENT`.
 const TRACE_EXTENT: f64 = 512.0;
 
 /// Two triangles lie in one place if a ray meets them within this share of its length.
 const BACK_TO_BACK: f32 = 1e-5;
+
+/// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
+pub(crate) const MAX_LAYERS: u32 = 64;
 
 /// World ↔ trace positions.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -15,7 +15,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::tree::{Node, WIDTH};
+use super::node::{Node, WIDTH};
 use super::{Surfaces, off_surface};
 use crate::scene::{Alpha, Scene};
 

@@ -1,11 +1,9 @@
-//! The one file with `unsafe`: the tests of boxes and triangles by AVX2, and a stack whose places start unwritten.
+//! The tests of boxes and triangles by AVX2. With `stack` one of the two files with `unsafe`.
 //!
-//! What AVX2 does has a safe twin in `tree` and `triangle`: the same operations in the same order, no fused multiply-add,
+//! What AVX2 does has a safe twin in `traverse` and `triangle`: the same operations in the same order, no fused multiply-add,
 //! so the same bits come out; `tests/watertight` compares the two. The traversal itself is one for both.
 
-#![allow(unsafe_code, reason = "SIMD, and memory that is not cleared for every ray; a proof stands at each block")]
-
-use std::mem::MaybeUninit;
+#![allow(unsafe_code, reason = "SIMD; a proof stands at each block")]
 
 #[cfg(target_arch = "x86_64")]
 pub use avx2::Avx2;
@@ -22,60 +20,13 @@ impl Avx2 {
     }
 }
 
-/// Up to `SIZE` keys. Clearing the places before every ray took up to a quarter of the time of short rays.
-pub struct Stack<const SIZE: usize> {
-    /// Those below `top` are written.
-    places: [MaybeUninit<u64>; SIZE],
-    top: usize,
-}
-
-impl<const SIZE: usize> Stack<SIZE> {
-    #[inline(always)]
-    pub fn new() -> Self {
-        Stack { places: [MaybeUninit::uninit(); SIZE], top: 0 }
-    }
-
-    #[inline(always)]
-    pub fn len(&self) -> usize {
-        self.top
-    }
-
-    #[inline(always)]
-    pub fn push(&mut self, key: u64) {
-        self.places[self.top].write(key);
-        self.top += 1;
-    }
-
-    #[inline(always)]
-    pub fn pop(&mut self) -> Option<u64> {
-        if self.top == 0 {
-            return None;
-        }
-        self.top -= 1;
-        // It was below `top`.
-        Some(unsafe { self.places[self.top].assume_init() })
-    }
-
-    /// Puts a key among those from place `base` on, which fall towards the top.
-    #[inline(always)]
-    pub fn insert(&mut self, base: usize, key: u64) {
-        let mut at = self.top;
-        // `at - 1` is below `top`, and `base` not negative.
-        while at > base && unsafe { self.places[at - 1].assume_init() } < key {
-            self.places[at] = self.places[at - 1];
-            at -= 1;
-        }
-        self.places[at].write(key);
-        self.top += 1;
-    }
-}
-
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     use std::arch::x86_64::*;
 
-    use crate::trace::tree::{FAR_MARGIN, Node, Slabs, Tree, TreeHit, traverse};
-    use crate::trace::triangle::{Edges, LANES, Lanes, ShearedRay, TriangleBlock};
+    use crate::trace::node::{Hierarchy, Node};
+    use crate::trace::traverse::{FAR_MARGIN, Slabs, traverse};
+    use crate::trace::triangle::{Edges, LANES, Lanes, ShearedRay, TreeHit, TriangleBlock};
 
     /// Proof that this processor has AVX2: [`Avx2::detect`] alone makes one.
     #[derive(Debug, Clone, Copy)]
@@ -87,30 +38,30 @@ mod avx2 {
             is_x86_feature_detected!("avx2").then_some(Avx2(()))
         }
 
-        /// [`Tree::closest`].
+        /// [`Tree::closest`](crate::trace::Tree::closest).
         #[inline]
         pub fn closest(
             self,
-            tree: &Tree,
+            hierarchy: &Hierarchy,
             ray: (Slabs, ShearedRay),
             range: (f32, f32),
             accept: impl FnMut(&TreeHit) -> bool,
         ) -> Option<TreeHit> {
             // The processor has AVX2: `self` says so.
-            unsafe { closest(tree, ray, range, accept) }
+            unsafe { closest(hierarchy, ray, range, accept) }
         }
 
-        /// [`Tree::any`].
+        /// [`Tree::any`](crate::trace::Tree::any).
         #[inline]
         pub fn any(
             self,
-            tree: &Tree,
+            hierarchy: &Hierarchy,
             ray: (Slabs, ShearedRay),
             range: (f32, f32),
             visit: impl FnMut(&TreeHit) -> bool,
         ) {
             // The processor has AVX2: `self` says so.
-            unsafe { any(tree, ray, range, visit) }
+            unsafe { any(hierarchy, ray, range, visit) }
         }
     }
 
@@ -160,7 +111,7 @@ mod avx2 {
 
     #[target_feature(enable = "avx2")]
     fn closest(
-        tree: &Tree,
+        hierarchy: &Hierarchy,
         (slabs, sheared): (Slabs, ShearedRay),
         (t_min, t_max): (f32, f32),
         mut accept: impl FnMut(&TreeHit) -> bool,
@@ -170,7 +121,7 @@ mod avx2 {
         let after = _mm256_set1_ps(t_min);
         let mut best = None;
         traverse::<true>(
-            tree,
+            hierarchy,
             t_max,
             |node, nearest| boxes.entries(node, nearest),
             |block, nearest| {
@@ -193,7 +144,7 @@ mod avx2 {
 
     #[target_feature(enable = "avx2")]
     fn any(
-        tree: &Tree,
+        hierarchy: &Hierarchy,
         (slabs, sheared): (Slabs, ShearedRay),
         (t_min, t_max): (f32, f32),
         mut visit: impl FnMut(&TreeHit) -> bool,
@@ -202,7 +153,7 @@ mod avx2 {
         let boxes = Boxes::new(&slabs);
         let (after, before) = (_mm256_set1_ps(t_min), _mm256_set1_ps(t_max));
         traverse::<false>(
-            tree,
+            hierarchy,
             t_max,
             |node, nearest| boxes.entries(node, nearest),
             |block, _| {

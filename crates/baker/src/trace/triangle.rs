@@ -9,8 +9,6 @@
 
 use glam::Vec3;
 
-use super::tree::TreeHit;
-
 /// Lanes of a block. Leaves of the tree are whole blocks.
 pub const LANES: usize = 8;
 
@@ -38,6 +36,38 @@ impl TriangleBlock {
             for axis in 0..3 {
                 self.corners[corner][axis][lane] = position[axis];
             }
+        }
+    }
+}
+
+/// A hit as the tree knows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TreeHit {
+    /// In lengths of the ray's direction.
+    pub t: f32,
+    /// Index of the triangle as given to [`Tree::build`](super::Tree::build).
+    pub triangle: u32,
+    /// Weight of corner 1.
+    pub v: f32,
+    /// Weight of corner 2.
+    pub w: f32,
+}
+
+impl TreeHit {
+    /// Takes the place of `best` if it is nearer, of equally near ones the triangle of the lower index, and `accept` lets
+    /// it count.
+    #[inline(always)]
+    pub(super) fn keep_nearest(
+        self,
+        t_max: f32,
+        accept: &mut impl FnMut(&TreeHit) -> bool,
+        best: &mut Option<TreeHit>,
+        nearest: &mut f32,
+    ) {
+        let nearer = best.is_none_or(|b| self.t < b.t || (self.t == b.t && self.triangle < b.triangle));
+        if nearer && self.t < t_max && accept(&self) {
+            *best = Some(self);
+            *nearest = self.t;
         }
     }
 }

@@ -7,10 +7,11 @@
 //! 2. One position after the other, the corners are blended. Where several in a row lie in a cell, what its rows hold is decoded once.
 
 use crate::bricks::{Bricks, Located};
+use crate::coefficients::Coefficients;
 use crate::grid::corner_weight;
 use crate::sample::{TWO_TO_112, add_row, decode_row, in_lanes, products, row_of, sum_of_lanes, times_2_to_112};
 use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
-use crate::volume::{Coefficients, MIXED};
+use crate::volume::MIXED;
 use crate::{Kind, Volume};
 use core::hint::black_box;
 

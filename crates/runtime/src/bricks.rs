@@ -18,9 +18,7 @@
 
 use crate::error::text;
 use crate::grid::{Cell, Finder, box_contains, trilinear};
-use crate::walls::WallCell;
 use crate::{Error, Grid};
-use alloc::vec;
 use alloc::vec::Vec;
 use core::array;
 
@@ -28,8 +26,6 @@ use core::array;
 pub const BRICK: u32 = 8;
 /// The coarsest cells may be 2 to this power cells of the grid wide: as wide as a brick.
 pub const MAX_LEVELS: u32 = 3;
-/// Words of a brick for shaders.
-const WORDS: usize = 38;
 /// Bytes of a brick's bits in a file.
 const MASK_SIZE: usize = 64;
 
@@ -73,13 +69,13 @@ pub fn is_node(counts: [u32; 3], levels: u32, place: [u32; 3], is_refined: impl 
 
 /// 8 × 8 × 8 places.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Brick {
+pub(crate) struct Brick {
     /// Per z: bit x + 8 y is set if that place is a node.
-    slices: [u64; BRICK as usize],
+    pub(crate) slices: [u64; BRICK as usize],
     /// Number of the first node.
-    first: u32,
+    pub(crate) first: u32,
     /// Nodes in the slices before.
-    before: [u16; BRICK as usize],
+    pub(crate) before: [u16; BRICK as usize],
 }
 
 /// A cell that is not refined.
@@ -343,29 +339,12 @@ impl Bricks {
         Cell { nodes: located.corners.nodes, weights, inside: box_contains(grid.min, grid.max, position) }
     }
 
-    /// 38 words per brick for shaders, see [`gpu`](crate::gpu). `first` is where the record of the first cell with walls will be; there
-    /// the records have to be in the order of [`Bricks::order`].
-    pub(crate) fn shader_words(&self, grid: &Grid, walled: &[WallCell], first: u32) -> Vec<u32> {
-        let mut words = Vec::with_capacity(self.bricks.len() * WORDS);
-        let mut walls = vec![[0u64; BRICK as usize]; self.bricks.len()];
-        for cell in walled {
-            let place = grid.place_of(cell.cell);
-            let (slice, bit) = Brick::bit(place);
-            walls[self.brick_index(place)][slice] |= 1 << bit;
-        }
-        let mut record = first;
-        for (brick, walls) in self.bricks.iter().zip(&walls) {
-            words.extend([brick.first, record]);
-            words.extend(brick.before.chunks(2).map(|pair| u32::from(pair[0]) | u32::from(pair[1]) << 16));
-            for slices in [&brick.slices, walls] {
-                words.extend(slices.iter().flat_map(|slice| [*slice as u32, (*slice >> 32) as u32]));
-            }
-            record += walls.iter().map(|slice| slice.count_ones()).sum::<u32>();
-        }
-        words
+    /// All bricks, x fastest.
+    pub(crate) fn bricks(&self) -> &[Brick] {
+        &self.bricks
     }
 
-    /// What to sort cells by, so that they go brick by brick as nodes do.
+    /// Where the bit of a cell's lowest place is: brick, slice, bit. Sorted by it, cells go brick by brick as nodes do.
     pub(crate) fn order(&self, grid: &Grid, cell: u32) -> (usize, usize, u32) {
         let place = grid.place_of(cell);
         let (slice, bit) = Brick::bit(place);

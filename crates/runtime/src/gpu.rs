@@ -55,13 +55,14 @@
 //! **Packed** coefficients take a quarter to a third of the memory of f16, and more work per node: see
 //! [`Volume::gpu_buffers_packed`].
 
-use crate::bricks::Bricks;
+use crate::bricks::{BRICK, Bricks};
+use crate::coefficients::Coefficients;
 use crate::error::text;
 use crate::half::f32_to_f16;
 use crate::sh::coefficient_count;
-use crate::volume::{Coefficients, VALID, WALLED};
+use crate::volume::{VALID, WALLED};
 use crate::walls::{WallCell, Walls};
-use crate::{Error, Grid, Volume, packed};
+use crate::{Error, Grid, RadianceSh, Volume, packed};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -70,6 +71,10 @@ pub const GPU_BANDS: u32 = 2;
 
 /// Nodes that share three words of marks.
 const BLOCK: usize = 32;
+/// Nodes that share a head of packed coefficients.
+const PACKED_BLOCK: usize = 64;
+/// Words of a brick.
+const BRICK_WORDS: usize = 38;
 
 /// What the shaders bind. The module's documentation has the layouts.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,7 +115,7 @@ impl Volume {
         let grid = self.gpu_grid()?;
         let bands = self.header.bands.min(GPU_BANDS);
         let values = 3 * coefficient_count(bands);
-        let coefficients = packed::shader_words(self.node_count(), values, step, |node| self.node_sh(node));
+        let coefficients = packed_words(self.node_count(), values, step, |node| self.node_sh(node));
         if coefficients.len() as u64 > u64::from(u32::MAX) {
             let found = text!("{} words", coefficients.len());
             return Err(Error::unsupported("counts", found, "at most 4294967295, for shaders"));
@@ -129,7 +134,7 @@ impl Volume {
         let first = planes.len() as u32;
         let (marks, valid_at) = match (&self.bricks, &self.marks) {
             (Some(bricks), marks) => {
-                let mut words = bricks.shader_words(grid, cells, first);
+                let mut words = brick_words(bricks, grid, cells, first);
                 let valid_at = words.len() as u32;
                 if is_marked {
                     let valid = |block: usize| {
@@ -208,6 +213,76 @@ fn pairs<'a, T: 'a>(rows: impl Iterator<Item = &'a [T]>, count: usize, f16: impl
     for row in rows {
         let half = |value: Option<&T>| value.map_or(0, |value| u32::from(f16(value)));
         words.extend(row[..count].chunks(2).map(|pair| half(pair.first()) | half(pair.get(1)) << 16));
+    }
+    words
+}
+
+/// The words of packed coefficients; the first `values` of each node.
+///
+/// # Panics
+/// If the step is not one of [`packed::STEPS`].
+fn packed_words(nodes: usize, values: usize, step: f32, node_sh: impl Fn(usize) -> RadianceSh) -> Vec<u32> {
+    assert!(packed::STEPS.contains(&step), "step {step} not in {:?}", packed::STEPS);
+    let count = values + 1;
+    let head_words = nodes.div_ceil(PACKED_BLOCK) * (count + 2);
+    let mut words = vec![0u32; head_words];
+    let mut numbers = [0i16; PACKED_BLOCK * packed::MAX_NUMBERS];
+    for block in 0..nodes.div_ceil(PACKED_BLOCK) {
+        let in_block = PACKED_BLOCK.min(nodes - block * PACKED_BLOCK);
+        let numbers = &mut numbers[..in_block * count];
+        for (place, numbers) in numbers.chunks_exact_mut(count).enumerate() {
+            let sh = node_sh(block * PACKED_BLOCK + place);
+            packed::quantise_node(&sh.coefficients.as_flattened()[..values], step, numbers);
+        }
+        let mut least = [0i32; packed::MAX_NUMBERS];
+        let mut widths = [0u32; packed::MAX_NUMBERS];
+        for number in 0..count {
+            let all = || numbers.iter().skip(number).step_by(count).map(|&q| i32::from(q));
+            least[number] = all().min().unwrap_or(0);
+            widths[number] = 32 - (all().max().unwrap_or(0) - least[number]).leading_zeros();
+        }
+        let head = block * (count + 2);
+        words[head] = words.len() as u32;
+        words[head + 1] = widths.iter().sum();
+        for number in 0..count {
+            words[head + 2 + number] = least[number] as u32 & 0xffff | widths[number] << 16;
+        }
+        // What is not a whole word yet.
+        let (mut rest, mut bits) = (0u64, 0);
+        for (place, &q) in numbers.iter().enumerate() {
+            let number = place % count;
+            rest |= ((i32::from(q) - least[number]) as u64) << bits;
+            bits += widths[number];
+            if bits >= 32 {
+                words.push(rest as u32);
+                (rest, bits) = (rest >> 32, bits - 32);
+            }
+        }
+        if bits > 0 {
+            words.push(rest as u32);
+        }
+    }
+    words.push(0);
+    words
+}
+
+/// The words of the bricks of a sparse grid. `first` is where the record of the first cell with walls will be; there the
+/// records have to be in the order of [`Bricks::order`].
+fn brick_words(bricks: &Bricks, grid: &Grid, walled: &[WallCell], first: u32) -> Vec<u32> {
+    let mut words = Vec::with_capacity(bricks.bricks().len() * BRICK_WORDS);
+    let mut walls = vec![[0u64; BRICK as usize]; bricks.bricks().len()];
+    for cell in walled {
+        let (brick, slice, bit) = bricks.order(grid, cell.cell);
+        walls[brick][slice] |= 1 << bit;
+    }
+    let mut record = first;
+    for (brick, walls) in bricks.bricks().iter().zip(&walls) {
+        words.extend([brick.first, record]);
+        words.extend(brick.before.chunks(2).map(|pair| u32::from(pair[0]) | u32::from(pair[1]) << 16));
+        for slices in [&brick.slices, walls] {
+            words.extend(slices.iter().flat_map(|slice| [*slice as u32, (*slice >> 32) as u32]));
+        }
+        record += walls.iter().map(|slice| slice.count_ones()).sum::<u32>();
     }
     words
 }

@@ -66,6 +66,7 @@ extern crate std;
 mod batch;
 pub mod bricks;
 mod codec;
+mod coefficients;
 mod crc32;
 mod error;
 pub mod format;

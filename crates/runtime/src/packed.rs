@@ -29,13 +29,11 @@
 //! Steps that follow the noise are not kept: one step for 2 % brings the volume of 18 % to 17.2, and adds 0.2 % to the whole
 //! error of its median node. Nor are boxes, since not all files are full grids.
 
-use crate::RadianceSh;
+use crate::coefficients::{Coefficients, Numbers, words_of};
 use crate::error::{Error, text};
-use crate::format::Header;
 use crate::half::{f16_is_finite, f16_is_subnormal, f32_to_f16};
 use crate::math::square_root;
 use crate::sh::{COSINE, MAX_COEFFICIENTS, band_of};
-use crate::volume::{Coefficients, Numbers, words_of};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -219,22 +217,32 @@ pub fn numbers_to_bytes(nodes: usize, count: usize, mut numbers_of: impl FnMut(u
 /// Nodes that are turned round together.
 const BLOCK: usize = 64;
 
-/// The coefficients in section `RSH `, and the scale of those that become f16.
+/// Section `RSH ` as it is stored.
+struct Planes<'a> {
+    /// Plane by plane, a folded difference per node.
+    elements: &'a [[u8; 2]],
+    nodes: usize,
+    /// Numbers per node.
+    count: usize,
+    step: f32,
+}
+
+/// The coefficients in section `RSH ` of `nodes` nodes with `values` values each, and the scale of those that become f16.
 ///
 /// They become f16 with a power of two as scale that puts the brightest M to 2^11, so that no light overflows and from 2^-25 of that on
 /// f16 adds at most 2^-11 to the relative error. In volumes of more contrast, and where a number overflows all the same, f32.
-pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<Numbers, Error> {
-    let count = header.values_per_node() + 1;
-    let (least, most) = range_of_codes(&bytes[..2 * header.node_count()])?;
+pub(crate) fn parse(bytes: &[u8], nodes: usize, values: usize, step: f32) -> Result<Numbers, Error> {
+    let planes = Planes { elements: bytes.as_chunks().0, nodes, count: values + 1, step };
+    let (least, most) = range_of_codes(&planes.elements[..nodes])?;
     let exponent = (most - CODE_OF_1).div_euclid(PER_OCTAVE) + 1 - 11;
     let scale = f32::from_bits(((exponent + 127) as u32) << 23);
     if most - least <= 25 * PER_OCTAVE {
         let inverse = 1.0 / scale;
-        let per_node = words_of(count - 1);
-        let mut words = vec![0; header.node_count() * per_node];
+        let per_node = words_of(values);
+        let mut words = vec![0; nodes * per_node];
         let mut rows = words.chunks_exact_mut(per_node);
         let (mut all_finite, mut subnormal, mut node) = (true, Vec::new(), 0);
-        restore(bytes, header, count, &mut |node_values| {
+        restore(&planes, &mut |node_values| {
             let mut any_subnormal = false;
             for (word, pair) in rows.next().into_iter().flatten().zip(node_values.chunks(2)) {
                 for (k, value) in pair.iter().enumerate() {
@@ -253,21 +261,21 @@ pub(crate) fn parse(bytes: &[u8], header: &Header) -> Result<Numbers, Error> {
             return Ok(Numbers { coefficients: Coefficients::F16(words), scale, subnormal });
         }
     }
-    let mut values = vec![0.0; header.node_count() * (count - 1)];
-    let mut rows = values.chunks_exact_mut(count - 1);
-    restore(bytes, header, count, &mut |node_values| {
+    let mut all = vec![0.0; nodes * values];
+    let mut rows = all.chunks_exact_mut(values);
+    restore(&planes, &mut |node_values| {
         if let Some(row) = rows.next() {
             row.copy_from_slice(node_values);
         }
     });
-    Ok(Numbers { coefficients: Coefficients::F32(values), scale: 1.0, subnormal: Vec::new() })
+    Ok(Numbers { coefficients: Coefficients::F32(all), scale: 1.0, subnormal: Vec::new() })
 }
 
 /// The least and the largest code of M of nodes that are not dark; [`CODE_OF_1`] twice if there is none.
-fn range_of_codes(plane: &[u8]) -> Result<(i32, i32), Error> {
+fn range_of_codes(plane: &[[u8; 2]]) -> Result<(i32, i32), Error> {
     let mut range = None;
     let mut code = 0i16;
-    for (node, folded) in plane.as_chunks().0.iter().enumerate() {
+    for (node, folded) in plane.iter().enumerate() {
         code = code.wrapping_add(unfolded(u16::from_le_bytes(*folded)));
         if code < 0 {
             return Err(Error::invalid(
@@ -290,19 +298,18 @@ fn unfolded(folded: u16) -> i16 {
 }
 
 /// Calls `then` with the values of one node after the other.
-fn restore(bytes: &[u8], header: &Header, count: usize, then: &mut impl FnMut(&[f32])) {
+fn restore(planes: &Planes, then: &mut impl FnMut(&[f32])) {
     if cfg!(feature = "fast") {
-        restore_nodes(bytes, header, count, then);
+        restore_nodes(planes, then);
     } else {
         // One copy for both kinds of numbers.
         let mut then: &mut dyn FnMut(&[f32]) = then;
-        restore_nodes(bytes, header, count, &mut then);
+        restore_nodes(planes, &mut then);
     }
 }
 
-fn restore_nodes(bytes: &[u8], header: &Header, count: usize, then: &mut impl FnMut(&[f32])) {
-    let nodes = header.node_count();
-    let elements = bytes.as_chunks::<2>().0;
+fn restore_nodes(planes: &Planes, then: &mut impl FnMut(&[f32])) {
+    let Planes { elements, nodes, count, step } = *planes;
     // The numbers of a block's nodes, node by node; and those of the node before it.
     let mut numbers = [0i16; BLOCK * MAX_NUMBERS];
     let mut before = [0i16; MAX_NUMBERS];
@@ -318,59 +325,10 @@ fn restore_nodes(bytes: &[u8], header: &Header, count: usize, then: &mut impl Fn
             }
         }
         for numbers in numbers.chunks_exact(count).take(in_block) {
-            restore_node(numbers, header.scale, node_values);
+            restore_node(numbers, step, node_values);
             then(node_values);
         }
     }
-}
-
-/// What shaders restore nodes of `values` values from: see [`gpu`](crate::gpu).
-///
-/// # Panics
-/// If the step is not one of [`STEPS`].
-pub(crate) fn shader_words(nodes: usize, values: usize, step: f32, node_sh: impl Fn(usize) -> RadianceSh) -> Vec<u32> {
-    assert!(STEPS.contains(&step), "step {step} not in {STEPS:?}");
-    let count = values + 1;
-    let head_words = nodes.div_ceil(BLOCK) * (count + 2);
-    let mut words = vec![0u32; head_words];
-    let mut numbers = [0i16; BLOCK * MAX_NUMBERS];
-    for block in 0..nodes.div_ceil(BLOCK) {
-        let in_block = BLOCK.min(nodes - block * BLOCK);
-        let numbers = &mut numbers[..in_block * count];
-        for (place, numbers) in numbers.chunks_exact_mut(count).enumerate() {
-            let sh = node_sh(block * BLOCK + place);
-            quantise_node(&sh.coefficients.as_flattened()[..values], step, numbers);
-        }
-        let mut least = [0i32; MAX_NUMBERS];
-        let mut widths = [0u32; MAX_NUMBERS];
-        for number in 0..count {
-            let all = || numbers.iter().skip(number).step_by(count).map(|&q| i32::from(q));
-            least[number] = all().min().unwrap_or(0);
-            widths[number] = 32 - (all().max().unwrap_or(0) - least[number]).leading_zeros();
-        }
-        let head = block * (count + 2);
-        words[head] = words.len() as u32;
-        words[head + 1] = widths.iter().sum();
-        for number in 0..count {
-            words[head + 2 + number] = least[number] as u32 & 0xffff | widths[number] << 16;
-        }
-        // What is not a whole word yet.
-        let (mut rest, mut bits) = (0u64, 0);
-        for (place, &q) in numbers.iter().enumerate() {
-            let number = place % count;
-            rest |= ((i32::from(q) - least[number]) as u64) << bits;
-            bits += widths[number];
-            if bits >= 32 {
-                words.push(rest as u32);
-                (rest, bits) = (rest >> 32, bits - 32);
-            }
-        }
-        if bits > 0 {
-            words.push(rest as u32);
-        }
-    }
-    words.push(0);
-    words
 }
 
 #[cfg(test)]

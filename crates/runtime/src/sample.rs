@@ -15,11 +15,12 @@
 //! Every input has an answer: a coordinate that is no number counts as the box's min.
 
 use crate::bricks::{Bricks, Located};
+use crate::coefficients::{Coefficients, half_of, words_of};
 use crate::grid::{box_contains, trilinear};
 use crate::half::{f16_to_f32, upper_f16_to_scaled_f32};
 use crate::math::square_root;
 use crate::sh::{COSINE_OF, MAX_COEFFICIENTS, basis};
-use crate::volume::{Coefficients, MIXED, SUBNORMAL, VALID, WALLED, half_of, words_of};
+use crate::volume::{MIXED, SUBNORMAL, VALID, WALLED};
 use crate::{Kind, RadianceSh, Volume};
 use alloc::vec::Vec;
 use core::array;

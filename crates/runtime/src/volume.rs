@@ -6,6 +6,7 @@
 //! that, too.
 
 use crate::bricks::Bricks;
+use crate::coefficients::{Coefficients, Numbers, half_of, words_of};
 use crate::error::text;
 use crate::format::{
     self, BRICKS, COVERAGE, Directory, Encoding, Header, Kind, Limits, MESHES, NORMALS, POSITIONS, RADIANCE,
@@ -55,35 +56,6 @@ pub(crate) const WALLED: u8 = 4;
 /// A node's mark: of the cell of which it is the lowest corner some corner is not [`VALID`], or is [`SUBNORMAL`], or it is
 /// [`WALLED`]. Not in a sparse grid. One mark to look at, where there are eight, in four places far apart. With the feature `fast` alone.
 pub(crate) const MIXED: u8 = 8;
-
-/// Node by node.
-#[derive(Clone, Debug)]
-pub(crate) enum Coefficients {
-    /// [`words_of`] each, the first value in the lower half; a zero after an odd number of values. (In words, for what
-    /// compilers make of reading 16-bit numbers is slow.)
-    F16(Vec<u32>),
-    /// `Header::values_per_node` each.
-    F32(Vec<f32>),
-}
-
-/// How many words so many values take.
-pub(crate) fn words_of(values: usize) -> usize {
-    values.div_ceil(2)
-}
-
-/// 16-bit value `k` of a node's words.
-#[inline(always)]
-pub(crate) fn half_of(words: &[u32], k: usize) -> u16 {
-    (words[k / 2] >> (16 * (k % 2))) as u16
-}
-
-/// What section `RSH ` says.
-pub(crate) struct Numbers {
-    pub(crate) coefficients: Coefficients,
-    pub(crate) scale: f32,
-    /// The nodes with subnormal f16.
-    pub(crate) subnormal: Vec<u32>,
-}
 
 /// Which nodes are the vertices of which part of the level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -336,7 +308,7 @@ impl Sections<'_> {
                 let odd = first_odd(&values);
                 (Coefficients::F32(values), Vec::new(), odd)
             }
-            Encoding::Packed => return packed::parse(&bytes, header),
+            Encoding::Packed => return packed::parse(&bytes, nodes, planes, header.scale),
         };
         match odd {
             None => Ok(Numbers { coefficients, scale: header.scale, subnormal }),

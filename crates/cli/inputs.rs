@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use gdibl_baker::Finding;
 use gdibl_baker::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_spacing};
+use gdibl_baker::exposure::{ExposureMatch, match_exposure};
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, Panorama, Sun, to_lat_long};
 use gdibl_baker::radiance::Distant;
-use gdibl_baker::radiance::exposure::{ExposureMatch, match_exposure};
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
 use gdibl_baker::scene::{Mesh, Role, Scene};

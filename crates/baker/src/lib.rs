@@ -20,6 +20,7 @@ mod control;
 pub mod cut;
 pub mod deringing;
 pub mod error;
+pub mod exposure;
 pub mod import;
 pub mod panorama;
 pub mod plan;

@@ -4,8 +4,8 @@ use gdibl_runtime::sh::MAX_BANDS;
 
 use crate::bake::{Baked, Nodes, Walls, levels_of};
 use crate::bands::Truncation;
+use crate::exposure::ExposureMatch;
 use crate::radiance::RadianceFunction;
-use crate::radiance::exposure::ExposureMatch;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
 use crate::records::SparseRecord;

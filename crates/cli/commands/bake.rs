@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes, Standing};
 use gdibl_baker::bands::{self, Truncation};
+use gdibl_baker::exposure::ExposureMatch;
 use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
-use gdibl_baker::radiance::exposure::ExposureMatch;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::records::{

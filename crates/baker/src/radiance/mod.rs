@@ -4,7 +4,6 @@ pub mod blend;
 mod candidates;
 mod effects;
 mod emitters;
-pub mod exposure;
 pub mod gdibl;
 mod guide;
 mod outlook;
@@ -23,6 +22,8 @@ use crate::trace::{Frame, Level};
 use candidates::Scratch;
 pub use guide::{Guide, Technique, UNIFORM_SHARE, Vantage};
 pub use outlook::{Glance, GlanceSums, Outlook};
+pub use probe::Probe;
+pub(crate) use probe::{PlacedProbe, Surroundings};
 pub use seen::Seen;
 pub use sky::Distant;
 

@@ -1,9 +1,10 @@
-//! Light probes, and what the radiance function needs of them at hand.
+//! Light probes, and what those who look through them need at hand.
 
 use glam::{DVec3, Mat3, Quat, Vec3};
 
 use crate::panorama::Panorama;
-use crate::trace::Frame;
+use crate::scene::Scene;
+use crate::trace::{Frame, Surfaces};
 
 /// A light probe, placed in the world.
 #[derive(Debug, Clone)]
@@ -22,7 +23,7 @@ pub struct Probe {
 
 /// A probe as the function uses it: in trace space, rotation turned round.
 #[derive(Debug)]
-pub(super) struct PlacedProbe {
+pub(crate) struct PlacedProbe {
     pub position: Vec3,
     pub to_local: Mat3,
     pub gain: f32,
@@ -39,4 +40,14 @@ impl PlacedProbe {
             pixels: (probe.panorama.width() * probe.panorama.height()) as f32,
         }
     }
+}
+
+/// Where probes and surfaces are.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Surroundings<'a> {
+    pub scene: &'a Scene,
+    pub frame: &'a Frame,
+    pub environment: &'a Surfaces,
+    pub probes: &'a [Probe],
+    pub placed: &'a [PlacedProbe],
 }

@@ -18,10 +18,9 @@ use glam::{DVec3, Mat3, Vec3};
 use std::f64::consts::PI;
 
 use super::emitters::Emitter;
-use super::probe::{PlacedProbe, Probe};
+use super::probe::Surroundings;
 use crate::panorama::{Panorama, brightness};
-use crate::scene::Scene;
-use crate::trace::{Frame, Hit, Surfaces};
+use crate::trace::Hit;
 
 /// How many times the mean radiance of the surfaces that its probe shows a place must have to be bright. What is less
 /// bright is wider, too, and nodes learn to look there. At 4, the box (soft, 1024 directions, `tools/calibration`) had 1905
@@ -56,16 +55,6 @@ const FLATNESS: f32 = 0.01;
 const STRAIGHT: f32 = 0.99;
 /// No corner of a region is farther from its probe than so many times the middle.
 const STRETCH: f32 = 4.0;
-
-/// Where probes and surfaces are.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Surroundings<'a> {
-    pub scene: &'a Scene,
-    pub frame: &'a Frame,
-    pub environment: &'a Surfaces,
-    pub probes: &'a [Probe],
-    pub placed: &'a [PlacedProbe],
-}
 
 /// A bright quadrilateral on the environment, in front of the probe that shows it.
 #[derive(Debug, Clone, Copy)]
@@ -410,8 +399,10 @@ mod tests {
     use super::*;
     use crate::radiance::emitters::Receiver;
     use crate::radiance::guide::Guide;
+    use crate::radiance::{PlacedProbe, Probe};
     use crate::sampling::fibonacci_sphere;
-    use crate::scene::{Material, Mesh};
+    use crate::scene::{Material, Mesh, Scene};
+    use crate::trace::{Frame, Surfaces};
     use glam::Quat;
 
     /// A cube with faces inward, 4 on a side, and a post before one wall.

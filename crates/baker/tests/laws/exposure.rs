@@ -1,9 +1,9 @@
 //! Matching exposures: gains of known truth, and probes that are not where they are said to be.
 
+use gdibl_baker::exposure::{ExposureMatch, match_exposure};
 use gdibl_baker::import::gltf::{GltfOptions, read_level};
 use gdibl_baker::import::image::{ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
-use gdibl_baker::radiance::exposure::{ExposureMatch, match_exposure};
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::sampling::{Sampler, Stream};
 use gdibl_baker::scene::{Role, Scene};

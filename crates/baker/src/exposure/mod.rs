@@ -29,10 +29,9 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::probe::{PlacedProbe, Probe};
-use super::regions::Surroundings;
 use crate::Finding;
 use crate::panorama::PLANE_TOLERANCE;
+use crate::radiance::{PlacedProbe, Probe, Surroundings};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Surfaces};
 use points::{FACE_CELLS, SharedPoint, directions_of, shared_points};

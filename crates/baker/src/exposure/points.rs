@@ -14,10 +14,9 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-use super::super::probe::PlacedProbe;
-use super::super::regions::Surroundings;
 use super::robust::{median, spread_about};
 use crate::panorama::Panorama;
+use crate::radiance::{PlacedProbe, Surroundings};
 use crate::sampling::fibonacci_sphere;
 use crate::trace::Hit;
 

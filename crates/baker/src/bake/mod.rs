@@ -11,9 +11,9 @@ mod gather;
 mod integrate;
 mod irradiance;
 mod nodes;
-mod refine;
 mod sample;
 mod sealed;
+mod sparse;
 mod standing;
 pub(crate) mod walls;
 
@@ -27,9 +27,9 @@ pub use gdibl_runtime::walls::WallCell;
 pub use integrate::INTERVAL_95;
 pub(crate) use irradiance::{Irradiance, difference, irradiance_of, root_mean_square, strength};
 pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_spacing};
-pub use refine::{bake_sparse, grid_of_cells, levels_of};
 use sample::{Batch, Sampled, Summary};
 pub use sealed::is_sealed;
+pub use sparse::{bake_sparse, grid_of_cells, levels_of};
 pub use standing::Standing;
 
 use crate::radiance::RadianceFunction;

@@ -9,13 +9,20 @@
 //! Tests of cells that are divided are nodes of the next level; others are the price. Where light is right, nearly, between the corners of
 //! a cell that surfaces divide, its parts need none: the error falls with the square of the distance.
 
+mod cells;
+mod occupied;
+
 use gdibl_runtime::Volume;
-use gdibl_runtime::bricks::{Bricks, Corners, Leaf, MAX_LEVELS, is_node};
+use gdibl_runtime::bricks::{Bricks, Corners, Leaf, is_node};
 use gdibl_runtime::grid::{Grid, trilinear};
 use gdibl_runtime::sh;
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
+
+use cells::{Cell, Flags};
+pub use cells::{grid_of_cells, levels_of};
+use occupied::occupied;
 
 use super::irradiance::{Irradiance, difference, irradiance_of, root_mean_square};
 use super::sample::Batch;
@@ -27,36 +34,14 @@ use crate::trace::Level;
 use crate::volume::volume_of;
 use crate::{Control, Interrupted};
 
-/// A cell holds a triangle if that reaches so far into it, as a share of its half: walls that lie in the faces of cells are in none.
-const WITHIN: f32 = 0.998;
 /// A difference counts as noise up to the square root of this many times its standard error.
 const NOISE: f64 = 2.0;
 /// Cells as wide as two of the grid's are not tested if light in the cell they are part of is off by this many tolerances at most.
 const EVEN: f64 = 4.0;
-/// No axis of a grid grows by more than this to make whole coarse cells.
-const MOST_GROWTH: f64 = 1.25;
 /// A share of the nodes, and bounds of it, that middles of small cells of a size are baked for in order to know the error there.
 const CHECKED_SHARE: usize = 50;
 const LEAST_CHECKED: usize = 16;
 const MOST_CHECKED: usize = 512;
-
-/// The grid that a sparse volume is made of, for a grid that is asked for: counts grow until coarse cells fit in. The same where that
-/// would take too much.
-pub fn grid_of_cells(grid: Grid) -> Grid {
-    let cells = grid.counts.map(|count| count.saturating_sub(1));
-    let grown = |levels: u32| cells.map(|cells| cells.div_ceil(1 << levels) << levels);
-    let fits = |levels: &u32| {
-        grown(*levels).iter().zip(cells).all(|(grown, cells)| f64::from(*grown) <= MOST_GROWTH * f64::from(cells))
-    };
-    let levels = (0..=MAX_LEVELS).rev().find(fits).unwrap_or(0);
-    Grid { counts: grown(levels).map(|cells| cells + 1), ..grid }
-}
-
-/// How often cells of a grid can be put together, eight to one; 0 where they cannot.
-pub fn levels_of(grid: &Grid) -> u32 {
-    let cells = grid.counts.iter().map(|count| count - 1).filter(|cells| *cells > 0);
-    cells.map(|cells| cells.trailing_zeros()).min().unwrap_or(0).min(MAX_LEVELS)
-}
 
 /// Bakes a grid as sparsely as `tolerance` allows, the relative error of irradiance between nodes: a sparse one, the grid itself
 /// where that is no larger, or one node where light is the same all over. `None` in place of a report if the grid has no coarser
@@ -99,109 +84,6 @@ pub fn bake_sparse(
         return refiner.finish(nodes, &all);
     }
     refiner.finish(Nodes::Sparse(SparseGrid { grid: *grid, bricks: bricks.clone() }), &bricks)
-}
-
-/// A cell of some level: its lowest place is `index` times 2^level.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Cell {
-    level: u32,
-    index: [u32; 3],
-}
-
-impl Cell {
-    fn origin(self) -> [u32; 3] {
-        self.index.map(|n| n << self.level)
-    }
-
-    /// Its eighths; fewer where the grid is flat.
-    fn children(self, grid: &Grid) -> impl Iterator<Item = Cell> {
-        let flat = grid.counts.map(|count| count == 1);
-        let parts = (0..8u32).filter(move |part| (0..3).all(|axis| !flat[axis] || part >> axis & 1 == 0));
-        parts.map(move |part| Cell {
-            level: self.level - 1,
-            index: std::array::from_fn(|axis| 2 * self.index[axis] + (part >> axis & 1)),
-        })
-    }
-
-    /// Its corners, and those of its children if it may have any: 27 places, fewer where the grid is flat.
-    fn places(self, grid: &Grid) -> impl Iterator<Item = [u32; 3]> {
-        let origin = self.origin();
-        let (half, most) = if self.level == 0 { (1, 2) } else { (1 << self.level >> 1, 3) };
-        let steps = grid.counts.map(|count| if count > 1 { most } else { 1 });
-        let all =
-            (0..steps[2]).flat_map(move |z| (0..steps[1]).flat_map(move |y| (0..steps[0]).map(move |x| [x, y, z])));
-        all.map(move |step: [u32; 3]| std::array::from_fn(|axis| origin[axis] + half * step[axis]))
-    }
-}
-
-/// A flag for every cell of the levels 1 and up.
-#[derive(Debug, Clone)]
-struct Flags {
-    counts: [u32; 3],
-    levels: u32,
-    flags: Vec<Vec<bool>>,
-}
-
-impl Flags {
-    fn new(counts: [u32; 3], levels: u32) -> Flags {
-        let mut tree = Flags { counts, levels, flags: Vec::new() };
-        tree.flags =
-            (1..=levels).map(|level| vec![false; tree.extent(level).iter().map(|n| *n as usize).product()]).collect();
-        tree
-    }
-
-    /// Cells per axis.
-    fn extent(&self, level: u32) -> [u32; 3] {
-        self.counts.map(|count| ((count - 1) >> level).max(1))
-    }
-
-    fn place(&self, Cell { level, index: [x, y, z] }: Cell) -> usize {
-        let [nx, ny, _] = self.extent(level).map(|n| n as usize);
-        x as usize + nx * (y as usize + ny * z as usize)
-    }
-
-    /// Not of level 0.
-    fn has(&self, cell: Cell) -> bool {
-        cell.level > 0 && self.flags[cell.level as usize - 1][self.place(cell)]
-    }
-
-    fn set(&mut self, cell: Cell, flag: bool) {
-        let place = self.place(cell);
-        self.flags[cell.level as usize - 1][place] = flag;
-    }
-
-    /// None is set.
-    fn is_empty(&self) -> bool {
-        self.flags.iter().flatten().all(|flag| !flag)
-    }
-
-    /// All cells of a level.
-    fn cells_of(&self, level: u32) -> Vec<Cell> {
-        let [nx, ny, nz] = self.extent(level);
-        let places = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
-        places.map(|index| Cell { level, index }).collect()
-    }
-
-    /// Refines a cell, and what must be with it: the parents of all cells that touch it. Adds those that were not to `refined`.
-    fn refine(&mut self, cell: Cell, refined: &mut Vec<Cell>) {
-        if self.has(cell) {
-            return;
-        }
-        self.set(cell, true);
-        refined.push(cell);
-        if cell.level == self.levels {
-            return;
-        }
-        let extent = self.extent(cell.level);
-        for step in 0..27 {
-            let near: [i64; 3] = std::array::from_fn(|axis| {
-                i64::from(cell.index[axis]) + i64::from([step % 3, step / 3 % 3, step / 9][axis]) - 1
-            });
-            if (0..3).all(|axis| (0..i64::from(extent[axis])).contains(&near[axis])) {
-                self.refine(Cell { level: cell.level + 1, index: near.map(|n| n as u32 / 2) }, refined);
-            }
-        }
-    }
 }
 
 /// A bake in progress.
@@ -581,70 +463,4 @@ fn error_at(volume: &Volume, position: [f64; 3], light: &Irradiance, median: f64
     let off = difference(&found, light);
     let scale = root_mean_square(light).max(0.1 * median);
     (sample.validity > 0.0 && scale > 0.0).then(|| root_mean_square(&off) / scale)
-}
-
-/// Cells of the levels 1 and up that triangles reach into.
-fn occupied(grid: &Grid, levels: u32, function: &impl RadianceFunction) -> Flags {
-    let mut tree = Flags::new(grid.counts, levels);
-    let frame = function.frame();
-    let coarsest = tree.extent(levels);
-    let box_of = |cell: Cell| {
-        let end =
-            std::array::from_fn(|axis| cell.origin()[axis] + if grid.counts[axis] > 1 { 1 << cell.level } else { 0 });
-        let corner = |place| frame.to_trace(DVec3::from(grid.place_position(place)));
-        let (low, high) = (corner(cell.origin()), corner(end));
-        // A flat axis is all of the grid's box.
-        let is_flat = |axis: usize| grid.counts[axis] == 1;
-        let (min, max) = (frame.to_trace(grid.min.into()), frame.to_trace(grid.max.into()));
-        let low = Vec3::from_array(std::array::from_fn(|axis| if is_flat(axis) { min[axis] } else { low[axis] }));
-        let high = Vec3::from_array(std::array::from_fn(|axis| if is_flat(axis) { max[axis] } else { high[axis] }));
-        ((low + high) / 2.0, (high - low) / 2.0)
-    };
-    let spacing = grid.spacing();
-    let level = function.level();
-    let mut stack = Vec::new();
-    for triangle in level.triangles() {
-        let [a, b, c] = triangle.map(|corner| frame.to_world(corner));
-        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-        let cell_at = |position: DVec3, axis: usize| match spacing[axis] > 0.0 {
-            true => (position[axis] - grid.min[axis]) / (spacing[axis] * f64::from(1 << levels)),
-            false => 0.0,
-        };
-        let range = |axis: usize| {
-            let (first, last) = (cell_at(low, axis).floor(), cell_at(high, axis).floor());
-            // Casts saturate.
-            first.max(0.0) as u32..(last.min(f64::from(coarsest[axis]) - 1.0) + 1.0) as u32
-        };
-        for z in range(2) {
-            for y in range(1) {
-                stack.extend(range(0).map(|x| Cell { level: levels, index: [x, y, z] }));
-            }
-        }
-        while let Some(cell) = stack.pop() {
-            let (middle, half) = box_of(cell);
-            if overlaps(triangle.map(|corner| corner - middle), half * WITHIN) {
-                tree.set(cell, true);
-                if cell.level > 1 {
-                    stack.extend(cell.children(grid));
-                }
-            }
-        }
-    }
-    tree
-}
-
-/// Whether a triangle reaches into a box around the origin. Based on: Akenine-Möller, "Fast 3D Triangle-Box Overlap Testing",
-/// 2001: no axis separates them.
-fn overlaps(triangle: [Vec3; 3], half: Vec3) -> bool {
-    let [a, b, c] = triangle;
-    let edges = [b - a, c - b, a - c];
-    let separates = |axis: Vec3| {
-        let [a, b, c] = triangle.map(|corner| corner.dot(axis));
-        let reach = half.dot(axis.abs());
-        a.min(b).min(c) > reach || a.max(b).max(c) < -reach
-    };
-    let units = [Vec3::X, Vec3::Y, Vec3::Z];
-    !(units.into_iter().any(separates)
-        || separates(edges[0].cross(edges[1]))
-        || units.iter().any(|unit| edges.iter().any(|edge| separates(unit.cross(*edge)))))
 }

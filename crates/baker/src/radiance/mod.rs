@@ -3,16 +3,12 @@
 pub mod blend;
 mod candidates;
 mod effects;
-mod emitters;
 pub mod gdibl;
 mod guide;
-mod outlook;
 pub mod path;
 mod probe;
 mod punctual;
-mod regions;
 mod seen;
-mod sky;
 mod surface_light;
 
 use glam::Vec3;
@@ -20,12 +16,10 @@ use glam::Vec3;
 use crate::sampling::Stream;
 use crate::trace::{Frame, Level};
 use candidates::Scratch;
-pub use guide::{Guide, Technique, UNIFORM_SHARE, Vantage};
-pub use outlook::{Glance, GlanceSums, Outlook};
+pub use guide::{Distant, Glance, GlanceSums, Guide, Outlook, Technique, UNIFORM_SHARE, Vantage};
 pub use probe::Probe;
 pub(crate) use probe::{PlacedProbe, Surroundings};
 pub use seen::Seen;
-pub use sky::Distant;
 
 /// Light that arrives at a point, by direction. GDIBL and path tracing differ in this alone.
 pub trait RadianceFunction: Sync {

@@ -10,10 +10,8 @@
 
 use glam::Vec3;
 
-use super::emitters::{Receiver, bright_triangles, solid_angle_density};
-use super::guide::Guide;
+use super::guide::{Distant, Guide, Receiver, Sky, bright_triangles, solid_angle_density};
 use super::punctual::{Arriving, Punctual};
-use super::sky::{Distant, Sky};
 use super::{PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
 use crate::sampling::cosine_hemisphere;

@@ -9,7 +9,7 @@ use gltf::json::material::AlphaMode;
 use gltf::json::texture::Info;
 use gltf::json::validation::Checked;
 use serde::Deserialize;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use super::buffers::Buffers;
 use super::document::Document;
@@ -291,9 +291,4 @@ pub(super) fn finish(
         })
         .collect();
     Ok((materials, kept.into_textures()))
-}
-
-/// The image that an extension of a texture names, e.g. EXT_texture_webp's.
-pub(super) fn extension_source(others: Option<&Map<String, Value>>, name: &str) -> Option<usize> {
-    usize::try_from(others?.get(name)?.get("source")?.as_u64()?).ok()
 }

@@ -6,9 +6,9 @@ use gltf::json::texture::WrappingMode;
 use gltf::json::validation::Checked;
 use image::{ImageDecoder, ImageReader};
 use rayon::prelude::*;
+use serde_json::{Map, Value};
 
 use super::buffers::Buffers;
-use super::material::extension_source;
 use super::uri;
 use crate::scene::{Texture, Wrap};
 use crate::{Error, Result};
@@ -160,6 +160,11 @@ impl Kept {
     pub fn into_textures(mut self) -> Vec<Texture> {
         self.order.iter().filter_map(|&request| self.decoded[request].take()).collect()
     }
+}
+
+/// The image that an extension of a texture names, e.g. EXT_texture_webp's.
+fn extension_source(others: Option<&Map<String, Value>>, name: &str) -> Option<usize> {
+    usize::try_from(others?.get(name)?.get("source")?.as_u64()?).ok()
 }
 
 /// "image 2 (wood.png)".

@@ -42,7 +42,7 @@ impl Distant {
 
 /// A distant panorama as rays of the world see it.
 #[derive(Debug)]
-pub(super) struct Sky<'a> {
+pub(crate) struct Sky<'a> {
     panorama: &'a Panorama,
     from_nodes: &'a Panorama,
     to_local: Mat3,
@@ -72,7 +72,7 @@ impl<'a> Sky<'a> {
 
 /// Directions toward what is bright at infinity.
 #[derive(Debug)]
-pub(super) struct SkyImportance {
+pub(crate) struct SkyImportance {
     importance: Importance,
     to_local: Mat3,
     gain: f32,

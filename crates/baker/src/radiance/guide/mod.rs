@@ -4,35 +4,27 @@
 //! directions come by four techniques: uniform; toward surfaces, as bright as they look from there; toward the sky, by
 //! its light where it shows; toward emissive triangles and bright regions. How bright and where is an [`Outlook`].
 
+mod emitters;
+mod outlook;
+mod regions;
+mod sky;
+
 use glam::{Mat3, Vec3};
 
-use super::emitters::{Emitter, Emitters, Receiver, Shares};
-use super::outlook::{Glance, GlanceSums, Outlook};
-use super::sky::{Distant, SkyImportance};
+use emitters::{Emitter, Emitters, Shares};
+pub(super) use emitters::{Receiver, bright_triangles, solid_angle_density};
+pub use outlook::{Glance, GlanceSums, Outlook, Technique};
+pub(super) use regions::{Regions, bright_regions};
+pub use sky::Distant;
+pub(super) use sky::Sky;
+use sky::SkyImportance;
+
 use crate::panorama::Tiles;
 use crate::sampling::uniform_sphere;
 
 /// Share of directions that are uniform over the sphere. The weight of no direction exceeds its inverse, whatever the
 /// outlook has wrong.
 pub const UNIFORM_SHARE: f32 = 0.25;
-
-/// A way to choose a direction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Technique {
-    /// Uniform over the sphere.
-    Uniform,
-    /// Toward bright surfaces.
-    Surfaces,
-    /// Toward a bright sky.
-    Sky,
-    /// Toward emissive triangles, and bright regions that probes show.
-    Emitters,
-}
-
-impl Technique {
-    /// All, in the order of [`Outlook`]'s shares.
-    pub const ALL: [Technique; 4] = [Technique::Uniform, Technique::Surfaces, Technique::Sky, Technique::Emitters];
-}
 
 /// Where light comes from, as far as it is known before the first ray.
 #[derive(Debug)]
@@ -234,7 +226,6 @@ impl Guide {
 
 #[cfg(test)]
 mod tests {
-    use super::super::emitters::bright_triangles;
     use super::*;
     use crate::panorama::Panorama;
     use crate::sampling::{Sampler, Stream, fibonacci_sphere};

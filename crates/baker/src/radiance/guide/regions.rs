@@ -18,8 +18,8 @@ use glam::{DVec3, Mat3, Vec3};
 use std::f64::consts::PI;
 
 use super::emitters::Emitter;
-use super::probe::Surroundings;
 use crate::panorama::{Panorama, brightness};
+use crate::radiance::Surroundings;
 use crate::trace::Hit;
 
 /// How many times the mean radiance of the surfaces that its probe shows a place must have to be bright. What is less
@@ -110,7 +110,7 @@ struct Seen {
 
 /// What is found.
 #[derive(Debug, Default)]
-pub(super) struct Regions {
+pub(crate) struct Regions {
     /// Two triangles for each region.
     pub emitters: Vec<Emitter>,
     /// How many regions.
@@ -121,7 +121,7 @@ pub(super) struct Regions {
 
 /// The bright regions; on triangles for which `drawn` there are none. A probe has none where they are not worth rays of
 /// their own.
-pub(super) fn bright_regions(around: &Surroundings, drawn: &[bool]) -> Regions {
+pub(crate) fn bright_regions(around: &Surroundings, drawn: &[bool]) -> Regions {
     let searches: Vec<Search> = (0..around.probes.len()).map(|own| Search::of_probe(around, own, drawn)).collect();
     let mut found: Vec<Region> = Vec::new();
     let mut share = 0.0f64;
@@ -397,8 +397,7 @@ impl<'a> Search<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::radiance::emitters::Receiver;
-    use crate::radiance::guide::Guide;
+    use crate::radiance::guide::{Guide, Receiver};
     use crate::radiance::{PlacedProbe, Probe};
     use crate::sampling::fibonacci_sphere;
     use crate::scene::{Material, Mesh, Scene};

@@ -19,7 +19,7 @@ const TAPS: u32 = 8;
 
 /// A triangle that is drawn.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Emitter {
+pub(crate) struct Emitter {
     /// Trace positions.
     pub corners: [Vec3; 3],
     /// Index into the surfaces it was found in; `None`: it is no triangle of any, but part of one or of several.
@@ -33,7 +33,7 @@ pub(super) struct Emitter {
 
 /// Emitters in a tree by which one is drawn for a point that is to be lit.
 #[derive(Debug)]
-pub(super) struct Emitters {
+pub(crate) struct Emitters {
     emitters: Vec<Emitter>,
     branches: Vec<Branch>,
     /// `leaf[i]`: the branch that holds emitter i alone.
@@ -61,7 +61,7 @@ struct Branch {
 
 /// Who is to be lit: a node from all sides, a surface on the side of its normal.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Receiver<'a> {
+pub(crate) struct Receiver<'a> {
     /// Trace space.
     pub position: Vec3,
     pub normal: Option<Vec3>,
@@ -71,7 +71,7 @@ pub(super) struct Receiver<'a> {
 
 /// What the whole tree is to one receiver.
 #[derive(Debug)]
-pub(super) struct Shares {
+pub(crate) struct Shares {
     /// Of each branch with children: probability of the first, given the branch; `None` where neither can light the receiver.
     first: Vec<Option<f32>>,
     /// Of each emitter: probability to be drawn.
@@ -80,7 +80,7 @@ pub(super) struct Shares {
 
 /// A point that was drawn.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct EmitterPoint {
+pub(crate) struct EmitterPoint {
     /// Trace position.
     pub position: Vec3,
     /// Unit normal of the front.
@@ -95,7 +95,7 @@ pub(super) struct EmitterPoint {
 }
 
 /// The bright triangles of each of `all`, several sets of surfaces of one scene.
-pub(super) fn bright_triangles(scene: &Scene, all: &[&Surfaces]) -> Vec<Vec<Emitter>> {
+pub(crate) fn bright_triangles(scene: &Scene, all: &[&Surfaces]) -> Vec<Vec<Emitter>> {
     let (mut area, mut power) = (0.0, 0.0);
     let mut glowing = Vec::new();
     for surfaces in all {
@@ -412,7 +412,7 @@ impl Emitter {
 }
 
 /// Per area → per solid angle: p d² / cosθ. `line`: from the observer to the point.
-pub(super) fn solid_angle_density(density: f32, line: Vec3, normal: Vec3) -> f32 {
+pub(crate) fn solid_angle_density(density: f32, line: Vec3, normal: Vec3) -> f32 {
     let squared = line.length_squared();
     let cosine = line.dot(normal).abs() / squared.sqrt();
     if squared == 0.0 { 0.0 } else { density * squared / cosine }

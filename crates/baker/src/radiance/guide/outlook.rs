@@ -5,7 +5,6 @@
 
 use glam::Vec3;
 
-use super::guide::Technique;
 use crate::panorama::{TileChoice, Tiles};
 
 /// Rays that a tile is thought to have had beside its own: so many of the sphere's mean brightness, and so many that saw
@@ -14,6 +13,24 @@ const PRIOR: f64 = 0.2;
 /// What a ray counts in the tiles around its own: a few hundred rays leave many tiles empty. Noise of the box (stiff) at
 /// 1024 directions per node was 1.74 %, and 1.85 % with half of it.
 const BLUR: f64 = 0.5;
+
+/// A way to choose a direction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Technique {
+    /// Uniform over the sphere.
+    Uniform,
+    /// Toward bright surfaces.
+    Surfaces,
+    /// Toward a bright sky.
+    Sky,
+    /// Toward emissive triangles, and bright regions that probes show.
+    Emitters,
+}
+
+impl Technique {
+    /// All, in the order of [`Outlook`]'s shares.
+    pub const ALL: [Technique; 4] = [Technique::Uniform, Technique::Surfaces, Technique::Sky, Technique::Emitters];
+}
 
 /// What a ray from a place met.
 #[derive(Debug, Clone, Copy)]

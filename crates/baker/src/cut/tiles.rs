@@ -5,7 +5,7 @@ use gdibl_runtime::walls::{Plane, WallCell};
 use gdibl_runtime::{Grid, Volume};
 use std::collections::HashMap;
 
-use super::{Light, Part, node_at};
+use super::part::{Light, Part, node_at};
 use crate::bake::Walls;
 
 /// A piece of a volume. Inside it says what the volume says; nodes in the face between two tiles are in both.

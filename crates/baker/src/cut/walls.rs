@@ -10,7 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
 
-use super::Part;
+use super::part::Part;
 use crate::bake::walls::{BLACK, LEAST_CHANGE, LEAST_WEIGHT, PER_AXIS, median_irradiance};
 use crate::bake::{Cells, Irradiance, Walls, difference, irradiance_of, strength};
 

@@ -17,8 +17,7 @@ use crate::sampling::Stream;
 use crate::trace::{Frame, Level};
 use candidates::Scratch;
 pub use guide::{Distant, Glance, GlanceSums, Guide, Outlook, Technique, UNIFORM_SHARE, Vantage};
-pub use probe::Probe;
-pub(crate) use probe::{PlacedProbe, Surroundings};
+pub(crate) use probe::{PlacedProbe, Probe, Surroundings};
 pub use seen::Seen;
 
 /// Light that arrives at a point, by direction. GDIBL and path tracing differ in this alone.

@@ -1,6 +1,8 @@
 //! Lines through points: how fast noise falls, what is left, and what an error costs.
 
-use super::{CostAt, Floor, Point};
+use serde::Serialize;
+
+use super::point::Point;
 
 /// A noise that falls slower than this, as a slope of logarithms, is not extrapolated: it comes to nothing.
 const LEAST_FALL: f64 = 0.1;
@@ -10,6 +12,26 @@ const END: usize = 3;
 const JUMP: f64 = 1.5;
 /// Variance of bias² under this is that of rounding.
 const LEAST_VARIANCE: f64 = 1e-24;
+
+/// What is left of the error with any number of directions, a share of the RMS of E.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Floor {
+    /// Most likely; 0 where noise explains all.
+    pub middle: f64,
+    /// Two standard deviations of bias² less,
+    pub low: f64,
+    /// and more.
+    pub high: f64,
+}
+
+/// What it takes to come to an error.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct CostAt {
+    /// CPU milliseconds per node.
+    pub milliseconds_per_node: f64,
+    /// The error lies outside those measured.
+    pub extrapolated: bool,
+}
 
 /// Slope of log noise over log directions, by least squares.
 pub(super) fn slope_of(points: &[Point]) -> Option<f64> {

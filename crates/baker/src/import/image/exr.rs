@@ -21,7 +21,8 @@ use ::exr::meta::{BlockDescription, MetaData};
 use half::f16;
 use rayon::prelude::*;
 
-use super::{Decoded, Pose, check_size, guard, pose};
+use super::decoded::{Decoded, check_size, guard};
+use super::pose::{self, Pose};
 use crate::panorama::{Image, Mapping};
 use crate::{Error, Finding, Result};
 

@@ -10,7 +10,8 @@ use std::path::Path;
 use ::image::codecs::hdr::HdrDecoder;
 use ::image::{ImageDecoder, ImageError};
 
-use super::{Decoded, Pose, check_size, guard};
+use super::decoded::{Decoded, check_size, guard};
+use super::pose::Pose;
 use crate::panorama::Image;
 use crate::{Error, Finding, Result};
 

@@ -16,6 +16,7 @@
 //! | `hdr-gamma` | a `.hdr` header names a GAMMA other than 1; its numbers are used as they are |
 //! | `world-to-camera` | the matrix gives no pose (not finite, singular, or mirroring) and was ignored |
 
+mod decoded;
 mod exr;
 mod exr_write;
 mod hdr;
@@ -27,23 +28,15 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
+use self::decoded::Decoded;
+pub use self::decoded::MAX_PIXELS;
 pub use self::exr_write::{SampleFormat, write_exr, write_exr_picture};
 pub use self::png_write::write_png;
 pub use self::pose::Pose;
+pub use self::repair::ReadOptions;
 pub use crate::panorama::Image;
 use crate::panorama::Mapping;
 use crate::{Error, Finding, Result};
-
-/// Pixels of the largest image that is read: 16384 × 8192.
-pub const MAX_PIXELS: usize = 16384 * 8192;
-
-/// How an image is read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct ReadOptions {
-    /// Replace unusable samples instead of refusing the file: NaN and infinity by the mean of their valid
-    /// neighbours, negative radiance by 0, an unusable distance by infinity.
-    pub repair_pixels: bool,
-}
 
 /// An image and what its file says about it.
 #[derive(Debug, Clone)]
@@ -82,18 +75,6 @@ pub fn read_image(path: &Path, options: &ReadOptions) -> Result<Imported> {
     Ok(Imported { image, pose, mapping, findings })
 }
 
-/// What a decoder hands over, not yet checked.
-struct Decoded {
-    image: Image,
-    /// The file's names of the samples, for messages: R, G, B, and Z.
-    channel_names: [String; 4],
-    /// Which of R, G, B the file stores as half floats.
-    half_float: [bool; 3],
-    pose: Pose,
-    mapping: Option<Mapping>,
-    findings: Vec<Finding>,
-}
-
 fn unknown_type(path: &Path, start: &[u8]) -> Error {
     const EXPECTED: &str = "expected OpenEXR (76 2f 31 01) or Radiance HDR (#?RADIANCE)";
     let known = [
@@ -118,35 +99,4 @@ fn unknown_type(path: &Path, start: &[u8]) -> Error {
     }
     let bytes: Vec<String> = start.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
     Error::invalid(path, format!("the file begins with {}; {EXPECTED}", bytes.join(" ")))
-}
-
-/// Refuses an image of no pixels, or of more than [`MAX_PIXELS`], before any memory is taken for it.
-fn check_size(path: &Path, width: usize, height: usize) -> Result<()> {
-    if width == 0 || height == 0 {
-        return Err(Error::invalid(path, format!("the image has {width} x {height} pixels; expected at least 1 x 1")));
-    }
-    if width.checked_mul(height).is_none_or(|pixels| pixels > MAX_PIXELS) {
-        return Err(Error::unsupported(
-            path,
-            format!(
-                "the header claims {width} x {height} pixels; at most {MAX_PIXELS} (16384 x 8192) are read: \
-                 scale the panorama down, or check whether the file is damaged"
-            ),
-        ));
-    }
-    Ok(())
-}
-
-/// Runs a decoder that must not be able to end the program. Both decoders are fuzzed here and by others, but
-/// assertions in them are reachable from damaged files; a panic is one, and is reported as such. (Whoever runs the
-/// program still sees the panic hook's line on stderr: a library does not replace the hook.)
-fn guard<T>(path: &Path, decode: impl FnOnce() -> Result<T>) -> Result<T> {
-    std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode)).unwrap_or_else(|payload| {
-        let reason = payload
-            .downcast_ref::<String>()
-            .map(String::as_str)
-            .or_else(|| payload.downcast_ref::<&str>().copied())
-            .unwrap_or("no message");
-        Err(Error::invalid(path, format!("the decoder gave up: {reason}; the file is damaged: save it again")))
-    })
 }

@@ -2,9 +2,17 @@
 
 use std::path::Path;
 
-use super::{Decoded, ReadOptions};
+use super::decoded::Decoded;
 use crate::panorama::Image;
 use crate::{Error, Finding, Result};
+
+/// How an image is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ReadOptions {
+    /// Replace unusable samples instead of refusing the file: NaN and infinity by the mean of their valid
+    /// neighbours, negative radiance by 0, an unusable distance by infinity.
+    pub repair_pixels: bool,
+}
 
 /// The largest finite half float.
 const HALF_MAX: f32 = 65504.0;

@@ -25,7 +25,7 @@ use crate::ktx2;
 use crate::light::{Least, Light, text};
 use crate::loss::{Loss, Truth, Variant};
 use crate::texture::Texture;
-use crate::{Error, Export, File, Report, Settings, beside, rgb9e5};
+use crate::{Error, Export, File, Report, Settings, rgb9e5};
 
 pub use crate::ktx2::Format;
 
@@ -240,4 +240,11 @@ fn intensity_for(largest: f32) -> f32 {
         return 1.0;
     }
     2.0_f32.powi(largest.log2().floor() as i32)
+}
+
+/// "room.ktx2" and ".json" give "room.json".
+fn beside(name: &str, ending: &str) -> String {
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let stem = if stem.is_empty() { name } else { stem };
+    format!("{stem}{ending}")
 }

@@ -39,6 +39,7 @@ pub mod json;
 mod ktx2;
 mod light;
 mod loss;
+mod report;
 mod rgb9e5;
 mod tetrahedra;
 mod texture;
@@ -47,9 +48,9 @@ pub mod unity;
 
 pub use error::Error;
 pub use loss::{Loss, Negative, SAMPLES, Variant, sample_normal, sample_position};
+pub use report::{Export, File, Note, Report, Settings};
 
 use gdibl_runtime::Volume;
-use serde::Serialize;
 
 /// For whom to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,68 +67,6 @@ pub enum Engine {
     Exr,
     /// All that a volume holds, as JSON.
     Json,
-}
-
-/// What to write.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    /// Name of the main file, without a folder: "room.ktx2". Files that come with it are named after it.
-    pub name: String,
-    /// Nodes per axis, the first on the box's min and the last on its max; None: those of the volume. More of them
-    /// lessen what three.js, Godot and Unity lose, which cut or move what the volume interpolates.
-    pub counts: Option<[u32; 3]>,
-}
-
-/// A file to be written.
-#[derive(Clone, Debug)]
-pub struct File {
-    /// Its name, without a folder.
-    pub name: String,
-    /// All of its bytes.
-    pub bytes: Vec<u8>,
-}
-
-/// What [`export`] returns.
-#[derive(Clone, Debug)]
-pub struct Export {
-    /// The main file first.
-    pub files: Vec<File>,
-    /// What was lost.
-    pub report: Report,
-}
-
-/// What was written, and what it lost.
-#[derive(Clone, Debug, Serialize)]
-pub struct Report {
-    /// Nodes per axis in the file; of points and vertices: how many, 1, 1.
-    pub counts: [u32; 3],
-    /// The highest band of the volume.
-    pub bands_of_volume: u32,
-    /// The highest band of the file; an ambient cube has none.
-    pub bands: Option<u32>,
-    /// Error of what the main file says, as the engine reads it.
-    pub error: Loss,
-    /// Error of every way of writing that was tried, the main file's too. Empty where there is one way only.
-    pub variants: Vec<Variant>,
-    /// Irradiance below zero in the volume, and what the engine does with it.
-    pub negative: Negative,
-    /// What else is worth knowing.
-    pub notes: Vec<Note>,
-}
-
-/// A finding that is not fatal.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Note {
-    /// Stable, kebab-case.
-    pub id: &'static str,
-    /// One sentence for a person.
-    pub message: String,
-}
-
-impl Note {
-    pub(crate) fn new(id: &'static str, message: impl Into<String>) -> Note {
-        Note { id, message: message.into() }
-    }
 }
 
 /// Converts a volume for an engine. Nothing is written to disk.
@@ -150,11 +89,4 @@ pub fn export(volume: &Volume, engine: Engine, settings: &Settings) -> Result<Ex
         Some(pair) => Err(Error::Settings(format!("{}: two files would have this name; choose another", pair[0]))),
         None => Ok(export),
     }
-}
-
-/// "room.ktx2" and ".json" give "room.json".
-pub(crate) fn beside(name: &str, ending: &str) -> String {
-    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-    let stem = if stem.is_empty() { name } else { stem };
-    format!("{stem}{ending}")
 }

@@ -5,9 +5,9 @@
 
 use gdibl_baker::analyse::{CompareSettings, compare};
 use gdibl_baker::bake::{BakeSettings, Nodes};
+use gdibl_baker::pack::volume_of;
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
-use gdibl_baker::volume::volume_of;
 use gdibl_tools::{bake_all, read_lighting, read_scene, read_truth};
 use glam::DVec3;
 use std::path::Path;

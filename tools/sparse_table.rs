@@ -11,9 +11,9 @@
 use cpu_time::ProcessTime;
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake_sparse, grid_of_cells, grid_of_spacing};
+use gdibl_baker::pack::{PackSettings, pack, volume_of};
 use gdibl_baker::radiance::path::{Path, PathSettings};
 use gdibl_baker::sampling::{Sampler, Stream};
-use gdibl_baker::volume::{PackSettings, pack, volume_of};
 use gdibl_runtime::{RadianceSh, Volume, sh};
 use gdibl_tools::{bake_all, read_distant, read_scene};
 use glam::DVec3;

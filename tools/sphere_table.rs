@@ -7,8 +7,8 @@
 
 use gdibl_baker::analyse::{CompareSettings, Truth, compare};
 use gdibl_baker::bake::{BakeSettings, Nodes, grid_of_spacing};
+use gdibl_baker::pack::volume_of;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
-use gdibl_baker::volume::volume_of;
 use gdibl_tools::{OFF_THE_SURFACE, bake_all, read_lighting, read_scene, read_truth};
 use glam::{DVec3, Vec3};
 use std::path::Path;

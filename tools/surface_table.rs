@@ -12,11 +12,11 @@
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Baked, GatherSettings, Nodes, SurfacePlace, grid_of_spacing, irradiance_at};
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
+use gdibl_baker::pack::volume_of;
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::path::{Path, PathSettings};
 use gdibl_baker::sampling::{Sampler, Stream, cosine_hemisphere, fibonacci_sphere};
 use gdibl_baker::scene::Scene;
-use gdibl_baker::volume::volume_of;
 use gdibl_runtime::{Grid, RadianceSh, Volume};
 use gdibl_tools::{bake_all, read_distant};
 use glam::{DVec3, Vec3};

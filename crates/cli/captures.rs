@@ -1,24 +1,26 @@
 //! Probes captured from the level: for `capture`, and for a bake or a picture that was given none.
 
 use glam::DVec3;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, Placement, capture, place_probes};
-use gdibl_baker::import::gltf::{TextureNeeds, read_files};
+use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
+use gdibl_baker::job::{CapturePlan, Inputs};
 use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
 use gdibl_baker::radiance::Distant;
-use gdibl_baker::radiance::path::{Path as Paths, PathSettings, specular_left_out};
+use gdibl_baker::radiance::path::{Path as Paths, specular_left_out};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::{Control, Finding};
 
-use crate::config::{CaptureFlags, Config, ProbeEntry, QualityFlags};
+use crate::config::{Config, ProbeEntry};
 use crate::fault::Fault;
-use crate::inputs::{Inputs, images_of};
+use crate::hashes::inputs_of;
+use crate::inputs::{images_of, read_level_and_sky, read_probes};
 use crate::progress::Progress;
+use crate::session::say;
 
 /// A probe that is to be captured.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,50 +30,21 @@ pub struct Place {
 }
 
 /// What came of one.
-pub struct Outcome {
+pub struct CapturedProbe {
     pub place: Place,
     pub captured: Captured,
     pub findings: Vec<Finding>,
     pub seconds: f64,
 }
 
-/// Paths per pixel when a target is given and nothing else is said.
-const TARGET_SAMPLES: u32 = 65_536;
 /// Pixels around the horizon of probes that nobody asked for. They hold reflected light alone, which is smooth: with 256,
 /// at four times the time, the error of the game map of the README went from 20 % to 19 %.
 const AUTO_WIDTH: usize = 128;
 
-/// The settings that the flags ask for.
-pub fn capture_settings(flags: &CaptureFlags, quality: &QualityFlags) -> Result<CaptureSettings, Fault> {
-    let defaults = CaptureSettings::default();
-    let width = flags.width.unwrap_or(defaults.width);
-    if !(4..=16384).contains(&width) || !width.is_multiple_of(2) {
-        return Err(Fault::Usage(format!("--width {width}: expected an even number from 4 to 16384")));
-    }
-    let samples = flags.samples.unwrap_or(if flags.target_error.is_some() { TARGET_SAMPLES } else { defaults.samples });
-    if samples == 0 {
-        return Err(Fault::Usage("--samples 0: expected at least 1".into()));
-    }
-    crate::config::check_target(flags.target_error)?;
-    Ok(CaptureSettings {
-        width,
-        samples,
-        target_error: flags.target_error,
-        seed: quality.seed.unwrap_or(defaults.seed),
-        clamp: crate::config::clamp(quality)?,
-        emission: true,
-    })
-}
-
-/// How probes see: bounces as for path tracing, scene geometry left out.
-pub fn path_settings(config: &Config) -> Result<PathSettings, Fault> {
-    Ok(PathSettings { scene_geometry: false, ..crate::config::path_settings(&config.quality)? })
-}
-
 /// The places that were asked for, by files in `folder`.
-pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path) -> Vec<Place> {
-    let positions: Vec<DVec3> = if flags.positions.is_empty() {
-        let placement = automatic_placement(scene, paths, flags);
+pub fn places(scene: &Scene, paths: &Paths, asked: &CapturePlan, folder: &Path) -> Vec<Place> {
+    let positions: Vec<DVec3> = if asked.positions.is_empty() {
+        let placement = automatic_placement(scene, paths, asked);
         if let Some(last) = placement.suggestions.last() {
             let share = last.after.coverage * 100.0;
             let count = placement.suggestions.len();
@@ -79,7 +52,7 @@ pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path)
         }
         placement.positions()
     } else {
-        flags.positions.iter().map(|p| DVec3::from(*p)).collect()
+        asked.positions.iter().map(|p| DVec3::from(*p)).collect()
     };
     let digits = positions.len().saturating_sub(1).to_string().len();
     let file = |i: usize| folder.join(format!("probe_{i:0digits$}.exr"));
@@ -87,9 +60,9 @@ pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path)
 }
 
 /// Where --auto places probes.
-pub fn automatic_placement(scene: &Scene, paths: &Paths, flags: &CaptureFlags) -> Placement {
+pub fn automatic_placement(scene: &Scene, paths: &Paths, asked: &CapturePlan) -> Placement {
     let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
-    let settings = PlaceSettings { most: flags.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
+    let settings = PlaceSettings { most: asked.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
     bounds.map(|bounds| place_probes(paths, bounds, &[], &settings)).unwrap_or_default()
 }
 
@@ -101,7 +74,7 @@ pub fn capture_all(
     settings: &CaptureSettings,
     cancel: &AtomicBool,
     quiet: bool,
-) -> Result<Vec<Outcome>, Fault> {
+) -> Result<Vec<CapturedProbe>, Fault> {
     let pixels = (settings.width * (settings.width / 2) * places.len()) as u64;
     let progress = Progress::new("pixels", pixels, quiet);
     let control = Control { cancel, progress: &|pixels, rays| progress.advance(pixels, rays) };
@@ -111,7 +84,12 @@ pub fn capture_all(
         let captured = capture(paths, place.position, index as u64, settings, &control);
         let captured = captured.map_err(|_| Fault::Interrupted)?;
         let findings = write(place, &captured, mapping)?;
-        outcomes.push(Outcome { place: place.clone(), captured, findings, seconds: started.elapsed().as_secs_f64() });
+        outcomes.push(CapturedProbe {
+            place: place.clone(),
+            captured,
+            findings,
+            seconds: started.elapsed().as_secs_f64(),
+        });
     }
     progress.finish();
     Ok(outcomes)
@@ -133,35 +111,30 @@ fn write(place: &Place, captured: &Captured, mapping: Mapping) -> Result<Vec<Fin
     written.map_err(Fault::from_writing)
 }
 
-/// The embedded default of an input that lacks probes: they are made from the level, or taken from an earlier run.
-/// Returns how many there are; none where the level has no place for one: then what is given has to do.
-pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool, quiet: bool) -> Result<usize, Fault> {
+/// Captures the probes of an input that lacks them, or takes those of an earlier run. Adds them to the inputs; none where
+/// the level has no place for one.
+pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool, quiet: bool) -> Result<(), Fault> {
     let captured = auto_capture(config, cancel, quiet)?;
-    inputs.read_probes(&captured.entries, config)?;
+    read_probes(inputs, &captured.entries, config)?;
     let count = captured.entries.len();
     if count == 0 {
-        say("no probe was given, and the level's box has no place for one: each stands in a solid or sees nothing");
-        return Ok(0);
+        return Err(Fault::Bound(format!(
+            "{}: no probe was given, and the level's box has no place for one: each stands in a solid or sees nothing; \
+             --method path needs none",
+            config.level.display()
+        )));
     }
     if let Some(seconds) = captured.seconds {
         say(&format!(
-            "no probe was given: captured {count} from the level in {seconds:.1} s; they are kept in {} for the next time \
-             (bake --no-capture does without)",
+            "captured {count} probes from the level in {seconds:.1} s; they are kept in {} for the next time",
             captured.folder.display()
         ));
-    }
-    if inputs.probes.iter().all(|probe| probe.panorama.pixels().all(|pixel| pixel == [0.0; 3])) {
-        return Err(Fault::Bound(format!(
-            "{}: no light reaches any of the {count} probes that were captured from it: is it closed under its sky? Give \
-             it lights, or --probes",
-            config.level.display()
-        )));
     }
     inputs.findings.extend(specular_left_out(&inputs.scene));
     // The level's own light is all there is: what escapes meets nothing, which is not the same as unknown.
     inputs.distant.get_or_insert_with(Distant::black);
     inputs.captured = true;
-    Ok(count)
+    Ok(())
 }
 
 /// Probes that stand in for those that nobody gave.
@@ -176,23 +149,21 @@ struct AutoCapture {
 /// same level, light and settings. The folder's name is the hash of all these, so what lies in it is never out of date.
 fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<AutoCapture, Fault> {
     // Reflected light alone: emission is taken from the level's materials.
-    let width = config.capture.width.or(Some(AUTO_WIDTH));
-    let flags = CaptureFlags { width, ..config.capture.clone() };
-    let settings = CaptureSettings { emission: false, ..capture_settings(&flags, &config.quality)? };
+    let width = config.settings.capture.width.unwrap_or(AUTO_WIDTH);
+    let settings = CaptureSettings { emission: false, width, ..config.settings.capture_probes() };
     let parent = config.output.with_extension("captured");
     let folder = parent.join(content_key(config, &settings)?);
     if folder.is_dir() {
         return Ok(AutoCapture { entries: entries_of(&folder)?, folder, seconds: None });
     }
     let started = Instant::now();
-    let inputs = Inputs::read_level(config, TextureNeeds::All)?;
-    let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), path_settings(config)?);
+    let inputs = read_level_and_sky(config, TextureNeeds::All)?;
+    let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), config.settings.capture_path());
     let writing = |error: std::io::Error| Fault::writing(&parent, &error);
     std::fs::create_dir_all(&parent).map_err(writing)?;
     // Filled beside, then renamed: a folder that is there is whole.
     let filling = tempfile::Builder::new().prefix(".filling-").tempdir_in(&parent).map_err(writing)?;
-    let flags = CaptureFlags { auto: Some(true), ..config.capture.clone() };
-    let places = places(&inputs.scene, &paths, &flags, filling.path());
+    let places = places(&inputs.scene, &paths, &config.settings.capture, filling.path());
     if places.is_empty() {
         drop(filling);
         let _ = std::fs::remove_dir(&parent); // if it holds nothing else
@@ -231,22 +202,16 @@ fn content_key(config: &Config, settings: &CaptureSettings) -> Result<String, Fa
         hasher.update(bytes);
     };
     part(concat!("gdibl ", env!("CARGO_PKG_VERSION")).as_bytes());
-    for level in std::iter::once(&config.level).chain(&config.environment) {
-        for file in read_files(level)? {
-            part(&file);
-        }
+    for input in inputs_of(config, &[])? {
+        part(input.role.as_bytes());
+        part(&input.blake3);
     }
     if let Some(distant) = &config.distant {
-        part(&std::fs::read(&distant.image).map_err(|error| Fault::reading(&distant.image, &error))?);
         part(format!("{:?} {:?} {:?}", distant.rotation, distant.exposure_stops, distant.mapping).as_bytes());
     }
-    let flags = &config.capture;
-    part(format!("{settings:?} {:?} {:?} {:?}", path_settings(config)?, flags.positions, flags.most).as_bytes());
-    part(format!("{:?}", config.quality.repair_pixels).as_bytes());
+    let asked = &config.settings.capture;
+    let path = config.settings.capture_path();
+    part(format!("{settings:?} {path:?} {:?} {:?}", asked.positions, asked.most).as_bytes());
+    part(format!("{:?}", config.settings.quality.repair_pixels).as_bytes());
     Ok(hasher.finalize().to_hex()[..KEY_DIGITS].to_string())
-}
-
-/// A line for a person on stderr.
-pub fn say(line: &str) {
-    let _ = writeln!(std::io::stderr(), "gdibl: {line}");
 }

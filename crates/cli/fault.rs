@@ -79,3 +79,16 @@ impl From<gdibl_baker::Error> for Fault {
         }
     }
 }
+
+impl From<gdibl_baker::job::Stop> for Fault {
+    fn from(stop: gdibl_baker::job::Stop) -> Self {
+        use gdibl_baker::job::Stop;
+        match stop {
+            Stop::Usage(message) => Fault::Usage(message),
+            Stop::Invalid(message) => Fault::Invalid(message),
+            Stop::Memory(message) => Fault::System(message),
+            Stop::Nothing(message) => Fault::Bound(message),
+            Stop::Interrupted => Fault::Interrupted,
+        }
+    }
+}

@@ -3,150 +3,97 @@
 use glam::{DQuat, DVec3, Quat, Vec3};
 use std::path::{Path, PathBuf};
 
-use gdibl_baker::Finding;
-use gdibl_baker::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_spacing};
-use gdibl_baker::exposure::{ExposureMatch, match_exposure};
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
-use gdibl_baker::panorama::{Mapping, Panorama, Sun, to_lat_long};
+use gdibl_baker::job::{Inputs, Memory, NodeKind, Settings};
+use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
-use gdibl_baker::scene::{Mesh, Role, Scene};
+use gdibl_baker::scene::Scene;
 
-use crate::commands::file_name;
-use crate::config::{Config, GridFlags, Method, NodeKind, ProbeEntry};
+use crate::config::{Config, ProbeEntry};
 use crate::fault::Fault;
+use crate::hashes::inputs_of;
 
-/// Nodes along the longest axis when nothing is said.
-const DEFAULT_NODES: f64 = 32.0;
+/// Who bakes: this program, and the commit of its source where that is known.
+const PROGRAM: [&str; 2] = [
+    concat!("gdibl ", env!("CARGO_PKG_VERSION")),
+    match option_env!("GDIBL_COMMIT") {
+        Some(commit) => commit,
+        None => "",
+    },
+];
 
-/// Everything that a bake or a picture reads.
-pub struct Inputs {
-    pub scene: Scene,
-    pub probes: Vec<Probe>,
-    pub distant: Option<Distant>,
-    pub findings: Vec<Finding>,
-    /// The probes were captured from the level for want of others, and show reflected light alone.
-    pub captured: bool,
-    /// How exposures were matched; `None`: they are as given.
-    pub exposure: Option<ExposureMatch>,
+/// The last part of a path, for records that must not depend on where a level lies.
+pub fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-impl Inputs {
-    /// Level, distant panorama, and the probes that are named, their exposures matched where that is asked for.
-    pub fn read(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
-        let mut inputs = Inputs::read_level(config, textures)?;
-        let entries = probe_entries(config, &inputs.scene)?;
-        inputs.read_probes(&entries, config)?;
-        let has_use = config.quality.method.unwrap_or_default() == Method::Gdibl;
-        if has_use && config.quality.match_exposure == Some(true) {
-            let matched = match_exposure(&inputs.scene, &inputs.probes);
-            matched.apply(&mut inputs.probes);
-            inputs.findings.extend(matched.findings());
-            inputs.exposure = Some(matched);
-        }
-        Ok(inputs)
+/// Level, distant panorama, places, and the probes that are named.
+pub fn read_inputs(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
+    let mut inputs = read_level_and_sky(config, textures)?;
+    let entries = probe_entries(config, &inputs.scene)?;
+    read_probes(&mut inputs, &entries, config)?;
+    if let NodeKind::Points(path) = &config.settings.grid.nodes {
+        inputs.places = read_places(path)?.positions;
     }
+    inputs.files = inputs_of(config, &entries)?;
+    Ok(inputs)
+}
 
-    /// Level and distant panorama alone.
-    pub fn read_level(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
-        let options = GltfOptions { textures, ..GltfOptions::default() };
-        let mut scene = read_level(&config.level, &options)?;
-        let mut findings = std::mem::take(&mut scene.findings);
-        if let Some(path) = &config.environment {
-            let proxy = read_level(path, &options)?;
-            findings.extend(proxy.findings.iter().cloned());
-            scene.replace_environment(proxy);
-        }
-        if textures == TextureNeeds::All {
-            // Who needs all textures traces paths.
-            findings.extend(specular_left_out(&scene));
-        }
-        let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings, captured: false, exposure: None };
-        if let Some(entry) = &config.distant {
-            let (imported, panorama) = read_panorama(entry, config)?;
-            inputs.findings.extend(imported.findings.iter().cloned());
-            inputs.distant = Some(Distant {
-                name: file_name(&entry.image),
-                rotation: rotation_of(entry, &imported)?,
-                exposure_stops: entry.exposure_stops,
-                panorama,
-                without_sun: None,
-            });
-        }
-        Ok(inputs)
+/// Level and distant panorama alone.
+pub fn read_level_and_sky(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
+    let options = GltfOptions { textures, ..GltfOptions::default() };
+    let mut scene = read_level(&config.level, &options)?;
+    let mut findings = std::mem::take(&mut scene.findings);
+    if let Some(path) = &config.environment {
+        let proxy = read_level(path, &options)?;
+        findings.extend(proxy.findings.iter().cloned());
+        scene.replace_environment(proxy);
     }
-
-    /// Takes the probes of these files.
-    pub fn read_probes(&mut self, entries: &[ProbeEntry], config: &Config) -> Result<(), Fault> {
-        for entry in entries {
-            let (imported, panorama) = read_panorama(entry, config)?;
-            self.findings.extend(imported.findings.iter().cloned());
-            let position = entry.position.map(DVec3::from).or(imported.pose.position);
-            let Some(position) = position else {
-                return Err(Fault::Invalid(format!(
-                    "{}: has no position: it holds neither gdibl:position nor worldToCamera; place it with a \
-                     [[probe]] in a BAKE.toml",
-                    entry.image.display()
-                )));
-            };
-            self.probes.push(Probe {
-                name: file_name(&entry.image),
-                position,
-                rotation: rotation_of(entry, &imported)?,
-                exposure_stops: entry.exposure_stops,
-                panorama,
-            });
-        }
-        Ok(())
+    if textures == TextureNeeds::All {
+        // Who needs all textures traces paths.
+        findings.extend(specular_left_out(&scene));
     }
+    let level = config.level.display().to_string();
+    let mut inputs = Inputs { findings, level, program: PROGRAM.map(String::from), ..Inputs::new(scene) };
+    if let Some(entry) = &config.distant {
+        let (imported, panorama) = read_panorama(entry, config)?;
+        inputs.findings.extend(imported.findings.iter().cloned());
+        inputs.distant = Some(Distant {
+            name: file_name(&entry.image),
+            rotation: rotation_of(entry, &imported)?,
+            exposure_stops: entry.exposure_stops,
+            panorama,
+            without_sun: None,
+        });
+    }
+    Ok(inputs)
+}
 
-    /// Takes the sun out of what nodes see of the distant panorama; `None`, with a finding, where no sun stands out.
-    pub fn extract_sun(&mut self) -> Result<Option<Sun>, Fault> {
-        let Some(distant) = &mut self.distant else {
-            return Err(Fault::Usage(
-                "--sun extract: takes a sun out of the distant panorama; give --distant IMAGE".into(),
-            ));
+/// Takes the probes of these files.
+pub fn read_probes(inputs: &mut Inputs, entries: &[ProbeEntry], config: &Config) -> Result<(), Fault> {
+    for entry in entries {
+        let (imported, panorama) = read_panorama(entry, config)?;
+        inputs.findings.extend(imported.findings.iter().cloned());
+        let position = entry.position.map(DVec3::from).or(imported.pose.position);
+        let Some(position) = position else {
+            return Err(Fault::Invalid(format!(
+                "{}: has no position: it holds neither gdibl:position nor worldToCamera; place it with a \
+                 [[probe]] in a BAKE.toml",
+                entry.image.display()
+            )));
         };
-        let sun = distant.extract_sun();
-        if sun.is_none() {
-            let message = format!("{}: --sun extract finds no sun in it, and takes nothing out", distant.name);
-            self.findings.push(Finding::new("no-sun", 1, message));
-        }
-        Ok(sun)
+        inputs.probes.push(Probe {
+            name: file_name(&entry.image),
+            position,
+            rotation: rotation_of(entry, &imported)?,
+            exposure_stops: entry.exposure_stops,
+            panorama,
+        });
     }
-
-    /// No probe was given, and there is something that one could see.
-    pub fn lacks_probes(&self) -> bool {
-        self.probes.is_empty() && self.scene.triangle_count(Role::Environment) > 0
-    }
-
-    /// Work without any light is refused.
-    pub fn check_light(&self, config: &Config, method: Method) -> Result<(), Fault> {
-        let probes = method == Method::Gdibl && !self.probes.is_empty();
-        if probes || self.has_light() {
-            return Ok(());
-        }
-        Err(Fault::Bound(format!(
-            "{}: nothing gives light: no probe, no distant panorama, no emissive material, no light; give --probes or \
-             --distant",
-            config.level.display()
-        )))
-    }
-
-    /// Something gives light that a path can find.
-    pub fn has_light(&self) -> bool {
-        let glows = |mesh: &Mesh| self.scene.materials[mesh.material as usize].emission != Vec3::ZERO;
-        self.distant.is_some() || !self.scene.lights.is_empty() || self.scene.meshes.iter().any(glows)
-    }
-
-    /// Findings as lines on stderr.
-    pub fn warn(&self) {
-        for finding in &self.findings {
-            eprintln!("gdibl: {}: {}", finding.id, finding.message);
-        }
-    }
+    Ok(())
 }
 
 /// Probes of BAKE.toml, of --probes, and, when neither names one, of the level's own nodes.
@@ -190,7 +137,7 @@ pub fn images_of(path: &Path) -> Result<Vec<PathBuf>, Fault> {
 }
 
 fn read_panorama(entry: &ProbeEntry, config: &Config) -> Result<(Imported, Panorama), Fault> {
-    let options = ReadOptions { repair_pixels: config.quality.repair_pixels.unwrap_or(false) };
+    let options = ReadOptions { repair_pixels: config.settings.quality.repair_pixels };
     let imported = read_image(&entry.image, &options)?;
     let mapping = match &entry.mapping {
         Some(name) => Mapping::parse(name).ok_or_else(|| {
@@ -215,104 +162,6 @@ fn rotation_of(entry: &ProbeEntry, imported: &Imported) -> Result<Quat, Fault> {
         )));
     }
     Ok(rotation.normalize().as_quat())
-}
-
-/// The nodes that a configuration asks for.
-pub fn nodes_of(config: &Config, scene: &Scene) -> Result<Nodes, Fault> {
-    let flags = &config.grid;
-    match flags.nodes.as_ref().unwrap_or(&NodeKind::Grid) {
-        NodeKind::Grid => grid_of(config, scene),
-        kind if flags.bounds.is_some()
-            || flags.spacing.is_some()
-            || flags.counts.is_some()
-            || flags.tolerance.is_some() =>
-        {
-            Err(Fault::Usage(format!(
-                "--bounds, --spacing, --counts and --tolerance belong to --nodes grid; here it is {kind:?}"
-            )))
-        }
-        NodeKind::Vertices => {
-            let nodes = Nodes::vertices_of(scene);
-            if nodes.is_empty() {
-                return Err(Fault::Invalid(format!("{}: has no vertices to bake", config.level.display())));
-            }
-            Ok(nodes)
-        }
-        NodeKind::Points(path) => Ok(Nodes::Points(read_places(path)?.positions)),
-    }
-}
-
-fn grid_of(config: &Config, scene: &Scene) -> Result<Nodes, Fault> {
-    let GridFlags { bounds, spacing, counts, tolerance, .. } = &config.grid;
-    if let Some(tolerance) = tolerance.filter(|tolerance| !(*tolerance > 0.0 && tolerance.is_finite())) {
-        return Err(Fault::Usage(format!("--tolerance {tolerance}: expected a positive share, 0.01 for 1 %")));
-    }
-    let marker = match &scene.volume_markers[..] {
-        [] => None,
-        _ if bounds.is_some() => None,
-        [marker] => Some(marker),
-        several => {
-            return Err(Fault::Usage(format!(
-                "{}: {} nodes carry gdibl_volume, and one bake makes one volume; choose a box with --bounds",
-                config.level.display(),
-                several.len()
-            )));
-        }
-    };
-    let (min, max) = match (bounds, marker) {
-        (Some(numbers), _) => parse_bounds(numbers)?,
-        (None, Some(marker)) => marker.bounds(),
-        (None, None) => scene.bounds(|_| true).ok_or_else(|| {
-            Fault::Usage(format!("{}: has no triangles, so no box; give --bounds", config.level.display()))
-        })?,
-    };
-    let grid = match (counts, spacing.or(marker.map(|m| m.spacing))) {
-        (Some(counts), _) => grid_of_counts(min, max, parse_counts(counts)?),
-        (None, Some(spacing)) if spacing > 0.0 && spacing.is_finite() => grid_of_spacing(min, max, spacing),
-        (None, Some(spacing)) => return Err(Fault::Usage(format!("--spacing {spacing}: expected metres above 0"))),
-        (None, None) => grid_of_spacing(min, max, (max - min).max_element() / (DEFAULT_NODES - 1.0)),
-    };
-    let grid = if tolerance.is_some() { grid_of_cells(grid) } else { grid };
-    let [x, y, z] = grid.counts;
-    let nodes = f64::from(x) * f64::from(y) * f64::from(z);
-    if nodes > f64::from(u32::MAX) {
-        let gib = nodes * 324.0 / f64::from(1 << 30);
-        return Err(Fault::System(format!(
-            "a grid of {x} x {y} x {z} = {nodes:.3e} nodes would need about {gib:.1e} GiB; a volume holds at most 2^32 \
-             nodes; use a larger --spacing or smaller --bounds"
-        )));
-    }
-    Ok(Nodes::Grid(grid))
-}
-
-pub fn parse_bounds(numbers: &[f64]) -> Result<(DVec3, DVec3), Fault> {
-    let &[x0, y0, z0, x1, y1, z1] = numbers else {
-        return Err(Fault::Usage(format!("--bounds: {} numbers; expected x0,y0,z0,x1,y1,z1", numbers.len())));
-    };
-    let (min, max) = (DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1));
-    if !(min.is_finite() && max.is_finite()) {
-        return Err(Fault::Usage(format!("--bounds {min} to {max}: expected finite numbers")));
-    }
-    if !min.cmple(max).all() {
-        return Err(Fault::Usage(format!(
-            "--bounds {min} to {max}: the first corner must be the lower one on each axis"
-        )));
-    }
-    Ok((min, max))
-}
-
-fn parse_counts(counts: &[u64]) -> Result<[u32; 3], Fault> {
-    let [x, y, z] = counts else {
-        return Err(Fault::Usage(format!("--counts: {} numbers; expected X,Y,Z", counts.len())));
-    };
-    let [x, y, z] = [x, y, z].map(|c| u32::try_from(*c).ok().filter(|c| *c > 0));
-    match (x, y, z) {
-        (Some(x), Some(y), Some(z)) => Ok([x, y, z]),
-        _ => Err(Fault::Usage(format!(
-            "--counts {counts:?}: an empty grid, or too many; expected 1 to {} each",
-            u32::MAX
-        ))),
-    }
 }
 
 /// Rows of a CSV of places.
@@ -368,4 +217,19 @@ pub fn read_places(path: &Path) -> Result<Places, Fault> {
         return Err(Fault::Invalid(format!("{}: holds no place; expected lines of x,y,z[,nx,ny,nz]", path.display())));
     }
     Ok(places)
+}
+
+/// What a bake may take: what was asked for, or what the machine has free.
+pub fn memory_of(settings: &Settings) -> Memory {
+    match settings.quality.max_memory {
+        Some(gib) => Memory { bytes: gib * f64::from(1 << 30), is_asked: true },
+        None => Memory { bytes: memory_available().unwrap_or(f64::INFINITY), is_asked: false },
+    }
+}
+
+/// Bytes that can still be taken without swapping; `None` where the system does not tell.
+fn memory_available() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<f64>().ok().map(|kilobytes| kilobytes * 1024.0)
 }

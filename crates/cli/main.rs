@@ -4,12 +4,17 @@ mod captures;
 mod commands;
 mod config;
 mod fault;
+mod flags;
+mod hashes;
 mod inputs;
 mod progress;
+mod session;
 mod study;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
+
+use session::{Session, finish};
 
 /// Bakes irradiance volumes by Geometrically Derived Image Based Lighting.
 ///
@@ -18,6 +23,9 @@ use std::process::ExitCode;
 #[derive(Parser)]
 #[command(version, max_term_width = 100)]
 struct Arguments {
+    /// Print the result as one JSON object, also of a run that fails
+    #[arg(long, global = true)]
+    json: bool,
     #[command(subcommand)]
     verb: Verb,
 }
@@ -46,24 +54,37 @@ enum Verb {
     Study(Box<commands::study::Arguments>),
 }
 
+impl Verb {
+    fn name(&self) -> &'static str {
+        match self {
+            Verb::Bake(_) => "bake",
+            Verb::Capture(_) => "capture",
+            Verb::Probes(_) => "probes",
+            Verb::Inspect(_) => "inspect",
+            Verb::Sample(_) => "sample",
+            Verb::Render(_) => "render",
+            Verb::Export(_) => "export",
+            Verb::Cut(_) => "cut",
+            Verb::Compare(_) => "compare",
+            Verb::Study(_) => "study",
+        }
+    }
+}
+
 fn main() -> ExitCode {
-    let done = match Arguments::parse().verb {
-        Verb::Bake(arguments) => commands::bake::run(*arguments),
-        Verb::Capture(arguments) => commands::capture::run(*arguments),
-        Verb::Probes(arguments) => commands::probes::run(*arguments),
+    let Arguments { json, verb } = Arguments::parse();
+    let session = Session::new(verb.name());
+    let done = match verb {
+        Verb::Bake(arguments) => commands::bake::run(*arguments, &session),
+        Verb::Capture(arguments) => commands::capture::run(*arguments, &session),
+        Verb::Probes(arguments) => commands::probes::run(*arguments, &session),
         Verb::Inspect(arguments) => commands::inspect::run(arguments),
-        Verb::Sample(arguments) => commands::sample::run(arguments),
-        Verb::Render(arguments) => commands::render::run(*arguments),
+        Verb::Sample(arguments) => commands::sample::run(arguments, &session),
+        Verb::Render(arguments) => commands::render::run(*arguments, &session),
         Verb::Export(arguments) => commands::export::run(arguments),
         Verb::Cut(arguments) => commands::cut::run(arguments),
         Verb::Compare(arguments) => commands::compare::run(arguments),
-        Verb::Study(arguments) => commands::study::run(*arguments),
+        Verb::Study(arguments) => commands::study::run(*arguments, &session),
     };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(fault) => {
-            eprintln!("gdibl: {fault}");
-            ExitCode::from(fault.exit_code())
-        }
-    }
+    ExitCode::from(finish(&session, done, json))
 }

@@ -1,9 +1,10 @@
-//! Ctrl-C and the progress bar on stderr.
+//! Ctrl-C, the clock, and the progress bar on stderr.
 
+use cpu_time::ProcessTime;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Set by the first Ctrl-C (or SIGTERM); the second one ends the program at once.
 pub fn cancel_on_interrupt() -> Arc<AtomicBool> {
@@ -17,6 +18,26 @@ pub fn cancel_on_interrupt() -> Arc<AtomicBool> {
     // Only fails when a handler is set twice.
     ctrlc::set_handler(handler).expect("one interrupt handler");
     cancel
+}
+
+/// Wall and CPU seconds since it was started.
+pub struct Clock {
+    wall: Instant,
+    cpu: ProcessTime,
+}
+
+impl Clock {
+    pub fn start() -> Clock {
+        Clock { wall: Instant::now(), cpu: ProcessTime::now() }
+    }
+
+    pub fn wall_seconds(&self) -> f64 {
+        self.wall.elapsed().as_secs_f64()
+    }
+
+    pub fn cpu_seconds(&self) -> f64 {
+        self.cpu.elapsed().as_secs_f64()
+    }
 }
 
 /// Work done, rate and time left; silent when `quiet` or when stderr is not a terminal.

@@ -60,8 +60,8 @@ fn captured_probes_bake_and_agree_with_path_tracing() {
     let traced =
         folder.bake(&[&["room.glb", "--method", "path", "--seed", "9", "-o", "path.gdibl"], &grid[..]].concat());
     assert_eq!((&traced["nodes_valid"], &traced["coverage"]), (&json!(27), &json!(1.0)));
-    assert_eq!(folder.inspect("path.gdibl")["settings"]["method"], "path");
-    folder.bake(&[&["room.glb", "-o", "captured.gdibl"], &grid[..]].concat());
+    assert_eq!(folder.inspect("path.gdibl")["settings"]["quality.method"], "path");
+    folder.bake(&[&["room.glb", "--method", "gdibl", "-o", "captured.gdibl"], &grid[..]].concat());
     // By probes that were captured for it a bake is better: it knows the lamp itself.
     for (volume, bound) in [("probes.gdibl", 0.06), ("captured.gdibl", 0.02)] {
         let run = folder.ok(&["compare", volume, "path.gdibl", "--json"]);
@@ -73,11 +73,13 @@ fn captured_probes_bake_and_agree_with_path_tracing() {
 }
 
 #[test]
-fn bake_without_a_probe_captures_once_and_writes_the_same_bytes() {
+fn gdibl_without_a_probe_captures_once_and_writes_the_same_bytes() {
     let folder = lamp_room(|_| {});
     folder.write("BAKE.toml", "level = \"room.glb\"\n[capture]\nwidth = 16\nsamples = 4\nmost = 2\n");
     let bake = |extra: &[&str]| {
-        let run = folder.run(&[&["bake", "BAKE.toml", "--counts", "2,2,2", "--samples", "64"], extra].concat());
+        let run = folder.run(
+            &[&["bake", "BAKE.toml", "--method", "gdibl", "--counts", "2,2,2", "--samples", "64"], extra].concat(),
+        );
         assert_eq!(run.code, 0, "{}", run.err);
         (folder.read("BAKE.gdibl"), run.err)
     };
@@ -90,7 +92,7 @@ fn bake_without_a_probe_captures_once_and_writes_the_same_bytes() {
         keys
     };
     let (first, said) = bake(&[]);
-    assert!(said.contains("captured 2 from the level"), "{said}");
+    assert!(said.contains("captured 2 probes from the level"), "{said}");
     let key = captures();
     assert_eq!(key.len(), 1);
     let (second, said) = bake(&[]);
@@ -110,7 +112,8 @@ fn bake_without_a_probe_captures_once_and_writes_the_same_bytes() {
     assert_eq!(captures().len(), 1);
     assert_ne!(captures(), key);
     // Forbidden, nothing is covered.
-    let run = folder.run(&["bake", "BAKE.toml", "--no-capture", "--counts", "2,2,2", "--samples", "64"]);
+    let run =
+        folder.run(&["bake", "BAKE.toml", "--method", "gdibl", "--no-capture", "--counts", "2,2,2", "--samples", "64"]);
     assert_eq!(run.code, 5, "{}", run.err);
 }
 
@@ -124,7 +127,7 @@ fn marked_probes_are_captured_where_the_level_names_them() {
     assert_eq!(read(&folder, "light/middle.exr").pose.position, Some(DVec3::new(0.5, 1.0, 0.5)));
     // And a bake finds it there.
     let report = folder.bake(&["room.glb", "--counts", "2,2,2", "--samples", "64"]);
-    assert_eq!(report["plan"][0]["kept"], false);
+    assert_eq!((&report["plan"][0]["stage"], &report["plan"][1]["kept"]), (&json!("method"), &json!(false)));
     assert!(report["coverage"].as_f64().unwrap() > 0.99, "{report}");
     assert_eq!(folder.inspect("room.gdibl")["probes"][0]["name"], "middle.exr");
 }
@@ -177,7 +180,7 @@ fn level_without_a_place_for_a_probe_bakes_with_what_is_given() {
     folder.sky("sky.exr", [2.0; 3]);
     let grid = ["--bounds=-2,-2,-2,2,2,2", "--counts", "3,3,3", "--samples", "64"];
     let report = folder.bake(&[&["block.glb", "--distant", "sky.exr"], &grid[..]].concat());
-    assert_eq!((&report["nodes_valid"], &report["plan"][0]["kept"]), (&json!(26), &json!(false)), "{report}");
+    assert_eq!((&report["nodes_valid"], &report["plan"][1]["kept"]), (&json!(26), &json!(false)), "{report}");
     assert_eq!(folder.names(), ["block.gdibl", "block.glb", "sky.exr"]);
 }
 

@@ -51,7 +51,7 @@ fn settings_go_by_the_names_of_the_flags_and_flags_win() {
     let settings = &found["settings"];
     let expected = json!({ "samples": 64, "seed": 5, "blend": "distance:3", "scene": "occlude", "sampler": "random" });
     for (key, value) in expected.as_object().unwrap() {
-        assert_eq!(&settings[key], value, "{key}");
+        assert_eq!(&settings[format!("quality.{key}")], value, "{key}");
     }
 
     let flags = ["--precision", "packed", "-o", "packed.gdibl"];
@@ -67,8 +67,11 @@ fn settings_go_by_the_names_of_the_flags_and_flags_win() {
     folder.bake(&[&["project/BAKE.toml"], &flags[..]].concat());
     let found = folder.inspect("flags.gdibl");
     assert_eq!(found["sh"], "L0");
-    assert_eq!((&found["settings"]["samples"], &found["settings"]["blend"]), (&json!(32), &json!("nearest")));
-    assert_eq!(found["settings"]["seed"], 5, "what no flag says stays");
+    assert_eq!(
+        (&found["settings"]["quality.samples"], &found["settings"]["quality.blend"]),
+        (&json!(32), &json!("nearest"))
+    );
+    assert_eq!(found["settings"]["quality.seed"], 5, "what no flag says stays");
     assert_eq!(found["grid"]["counts"], json!([3, 1, 1]), "counts by flag replace the file's spacing");
 }
 

@@ -59,7 +59,7 @@ fn a_closed_level_has_no_distant_panorama() {
     };
     assert_eq!(names(&folder), ["a.exr", "b.exr"]);
     // By path tracing, too; and one triangle less is a window.
-    let path = bake(&["--distant", "sky.exr", "--method", "path", "--no-capture"]);
+    let path = bake(&["--distant", "sky.exr", "--method", "path"]);
     assert!(!kept(&path, "distant"), "{path}");
     let mut open: Vec<Triangle> = box_of([-2.0, -1.0, -3.0], [2.0, 2.0, 1.5]);
     open.pop();
@@ -113,7 +113,7 @@ fn opaque_materials_decode_no_texture() {
     room(&folder, |_| {});
     folder.write("no.png", b"no picture");
     write("OPAQUE");
-    let report = folder.bake(&[&PROBES[..], &FEW, &["--no-capture"]].concat());
+    let report = folder.bake(&[&PROBES[..], &FEW[..]].concat());
     assert!(!kept(&report, "textures") && !kept(&report, "transparency"), "{report}");
     write("MASK");
     let masked = folder.run(&[&["bake"], &PROBES[..], &FEW].concat());

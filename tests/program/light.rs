@@ -72,7 +72,8 @@ fn light_through(material: Value) -> f64 {
     let mut level = Level::new();
     let material = level.material(material);
     level.scene_object(&box_of([-1.0; 3], [1.0; 3]), material);
-    let (_, found) = mean_light(&folder, &level, &[[0.1, 0.2, 0.3]], &["--distant", "sky.exr", "--no-capture"]);
+    let (_, found) =
+        mean_light(&folder, &level, &[[0.1, 0.2, 0.3]], &["--distant", "sky.exr", "--method", "gdibl", "--no-capture"]);
     found[0][0]
 }
 
@@ -128,7 +129,8 @@ fn node_behind_glass_on_all_sides_is_valid_and_partly_covered() {
     let glass = level.material(json!({ "alphaMode": "BLEND",
         "pbrMetallicRoughness": { "baseColorFactor": [1.0, 1.0, 1.0, 0.25] } }));
     level.object(&box_of([-0.5; 3], [0.5; 3]), glass, json!({}));
-    let (report, found) = mean_light(&folder, &level, &[[0.0; 3]], &["--distant", "sky.exr", "--no-capture"]);
+    let (report, found) =
+        mean_light(&folder, &level, &[[0.0; 3]], &["--distant", "sky.exr", "--method", "gdibl", "--no-capture"]);
     assert_eq!(report["nodes_valid"], 1);
     assert!((report["coverage"].as_f64().unwrap() - 0.75).abs() < 1e-3, "{}", report["coverage"]);
     assert!((found[0][0] - 1.0).abs() < 1e-3 && found[0][1] == 1.0, "{found:?}");
@@ -198,7 +200,8 @@ fn uncovered_part_is_filled_from_what_is_seen_and_its_share_reported() {
         folder.sky("sky.exr", [2.0; 3]);
         let mut level = Level::new();
         level.object(&panel(half, 1.0), 0, json!({}));
-        let (report, found) = mean_light(&folder, &level, &[[0.0; 3]], &["--distant", "sky.exr", "--no-capture"]);
+        let (report, found) =
+            mean_light(&folder, &level, &[[0.0; 3]], &["--distant", "sky.exr", "--method", "gdibl", "--no-capture"]);
         let expected = 1.0 - square_solid_angle(half.into(), 1.0) / (4.0 * PI);
         let coverage = report["coverage"].as_f64().unwrap();
         println!("coverage {coverage:.5}, expected {expected:.5}");
@@ -213,7 +216,7 @@ fn closed_level_under_a_sky_without_probe_is_refused_and_nothing_written() {
     Level::room([-2.0; 3], [2.0; 3]).write(&folder, "level.glb");
     folder.sky("sky.exr", [1.0; 3]);
     let grid = ["--counts", "3,3,3", "--bounds", "-1,-1,-1,1,1,1", "--samples", "64"];
-    let forbidden = ["bake", "level.glb", "--distant", "sky.exr", "--no-capture"];
+    let forbidden = ["bake", "level.glb", "--distant", "sky.exr", "--method", "gdibl", "--no-capture"];
     let run = folder.run(&[&forbidden[..], &grid[..]].concat());
     assert_eq!(run.code, 5, "{}", run.err);
     assert!(run.err.contains("27 saw nothing that a probe"), "{}", run.err);
@@ -221,7 +224,7 @@ fn closed_level_under_a_sky_without_probe_is_refused_and_nothing_written() {
     // Captured probes would be black, and so would be the volume.
     folder.write(
         "BAKE.toml",
-        "level = \"level.glb\"\ndistant = \"sky.exr\"\n[capture]\nwidth = 8\nsamples = 1\nmost = 1",
+        "level = \"level.glb\"\ndistant = \"sky.exr\"\nquality.method = \"gdibl\"\n[capture]\nwidth = 8\nsamples = 1\nmost = 1",
     );
     let run = folder.run(&[&["bake", "BAKE.toml"], &grid[..]].concat());
     assert_eq!(run.code, 5, "{}", run.err);

@@ -28,8 +28,17 @@ fn toward() -> [f64; 3] {
     [longitude.sin() * latitude.cos(), latitude.sin(), longitude.cos() * latitude.cos()]
 }
 
-const STONE: [&str; 7] =
-    ["stone.glb", "--distant", "sky.exr", "--no-capture", "--nodes", "points:points.csv", "--quiet"];
+const STONE: [&str; 9] = [
+    "stone.glb",
+    "--distant",
+    "sky.exr",
+    "--method",
+    "gdibl",
+    "--no-capture",
+    "--nodes",
+    "points:points.csv",
+    "--quiet",
+];
 
 #[test]
 fn extracted_sun_is_reported_and_stored_and_its_direct_light_not_baked() {

@@ -3,18 +3,19 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use gdibl_baker::Finding;
 use gdibl_baker::import::gltf::TextureNeeds;
+use gdibl_baker::job::Inputs;
 use gdibl_baker::panorama::Mapping;
 use gdibl_baker::radiance::path::Path as Paths;
 use glam::DVec3;
 use serde::Serialize;
 
-use crate::captures::{Outcome, Place, capture_all, capture_settings, path_settings, places, say};
-use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, RunFlags, set_threads};
+use crate::captures::{CapturedProbe, Place, capture_all, places};
+use crate::config::{Config, FileFlags, LightFlags, set_threads};
 use crate::fault::Fault;
-use crate::inputs::Inputs;
-use crate::progress::cancel_on_interrupt;
+use crate::flags::{OfCaptures, SettingFlags};
+use crate::inputs::read_level_and_sky;
+use crate::session::{Outcome, Session, say};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -28,18 +29,13 @@ pub struct Arguments {
     #[arg(long, value_name = "IMAGE")]
     distant: Option<PathBuf>,
     #[command(flatten)]
-    capture: CaptureFlags,
+    settings: SettingFlags<OfCaptures>,
     /// Layout of the images: lat-long, angular, cube-exr, cube-strip, cube-cross-horizontal, cube-cross-vertical …
     #[arg(long, value_name = "NAME", default_value = "lat-long", value_parser = parse_mapping)]
     mapping: Mapping,
-    /// Surfaces that light may leave on its way: 1 is direct light [default: 64, with roulette]
-    #[arg(long, value_name = "N")]
-    bounces: Option<u32>,
-    /// Cut every path's radiance off at this, and say how much light that took [default: off]
-    #[arg(long, value_name = "L")]
-    clamp: Option<f32>,
-    #[command(flatten)]
-    run: RunFlags,
+    /// No progress bar
+    #[arg(long)]
+    quiet: bool,
 }
 
 /// What `--json` prints.
@@ -48,7 +44,6 @@ struct Report {
     probes: Vec<ProbeReport>,
     wall_seconds: f64,
     cpu_seconds: f64,
-    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -69,66 +64,42 @@ fn parse_mapping(text: &str) -> Result<Mapping, String> {
     Mapping::parse(text).ok_or_else(|| format!("expected one of {}", Mapping::ALL.map(Mapping::name).join(", ")))
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
+pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let started = Instant::now();
-    let cancel = cancel_on_interrupt();
-    let files = FileFlags {
-        input: arguments.input.clone(),
-        output: None,
-        probes: Vec::new(),
-        distant: arguments.distant,
-        environment: None,
-    };
-    let quality = QualityFlags {
-        bounces: arguments.bounces,
-        clamp: arguments.clamp,
-        seed: arguments.run.seed,
-        threads: arguments.run.threads,
-        repair_pixels: arguments.run.repair_pixels.then_some(true),
-        ..QualityFlags::default()
-    };
-    let config = Config::new(files, GridFlags::default(), quality, arguments.capture)?;
-    set_threads(config.quality.threads)?;
-    let settings = capture_settings(&config.capture, &config.quality)?;
+    let light = LightFlags { probes: Vec::new(), distant: arguments.distant };
+    let config = Config::new(FileFlags::of(&arguments.input, light), &arguments.settings.given)?;
+    set_threads(&config.settings)?;
+    let settings = config.settings.capture_probes();
 
-    let inputs = Inputs::read_level(&config, TextureNeeds::All)?;
-    inputs.warn();
+    let inputs = read_level_and_sky(&config, TextureNeeds::All)?;
+    session.find(&inputs.findings);
     if !inputs.has_light() {
         return Err(Fault::Bound(format!(
             "{}: nothing gives light: no emissive material, no light, no distant panorama; give --distant",
             config.level.display()
         )));
     }
-    let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config)?);
+    let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), config.settings.capture_path());
     let folder = arguments.output.clone();
     let places = choose_places(&inputs, &paths, &config, folder.as_deref(), &arguments.input)?;
     for folder in places.iter().filter_map(|place| place.file.parent()) {
         std::fs::create_dir_all(folder).map_err(|error| Fault::writing(folder, &error))?;
     }
-    let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &cancel, arguments.run.quiet)?;
+    let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &session.cancel, arguments.quiet)?;
 
-    let mut findings = inputs.findings;
-    findings.extend(outcomes.iter().flat_map(|outcome| outcome.findings.iter().cloned()));
+    outcomes.iter().for_each(|outcome| session.find(&outcome.findings));
     let report = Report {
         probes: outcomes.iter().map(|outcome| probe_report(outcome, settings.width)).collect(),
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
-        findings,
     };
-    if arguments.run.json {
-        super::print_json(&report)?
-    } else {
-        print(&report)?
-    }
     let missed: u64 = outcomes.iter().map(|outcome| outcome.captured.missed).sum();
-    match settings.target_error {
-        Some(target) if missed > 0 => Err(Fault::Bound(format!(
-            "{missed} pixels missed the target error of {} % within {} paths; the probes were written",
-            (target * 100.0) as f32,
-            settings.samples
-        ))),
-        _ => Ok(()),
-    }
+    let missed = settings.target_error.filter(|_| missed > 0).map(|target| {
+        let (target, samples) = ((target * 100.0) as f32, settings.samples);
+        format!("{missed} pixels missed the target error of {target} % within {samples} paths; the probes were written")
+    });
+    let text = text(&report);
+    Ok(Outcome::new(report, text).missing(missed))
 }
 
 /// By --position, by --auto, or where the level marks them.
@@ -140,8 +111,9 @@ fn choose_places(
     input: &Path,
 ) -> Result<Vec<Place>, Fault> {
     let default_folder = input.with_extension("probes");
-    if !config.capture.positions.is_empty() || config.capture.auto == Some(true) {
-        let places = places(&inputs.scene, paths, &config.capture, folder.unwrap_or(&default_folder));
+    let asked = &config.settings.capture;
+    if !asked.positions.is_empty() || asked.auto {
+        let places = places(&inputs.scene, paths, asked, folder.unwrap_or(&default_folder));
         if places.is_empty() {
             return Err(Fault::Bound(format!(
                 "{}: --auto found no place for a probe: every place tried stands in a solid or sees nothing; give \
@@ -179,7 +151,7 @@ fn place_of_marker(position: DVec3, image: &Path, folder: Option<&Path>) -> Plac
     Place { position, file }
 }
 
-fn probe_report(outcome: &Outcome, width: usize) -> ProbeReport {
+fn probe_report(outcome: &CapturedProbe, width: usize) -> ProbeReport {
     let captured = &outcome.captured;
     ProbeReport {
         file: outcome.place.file.display().to_string(),
@@ -193,8 +165,8 @@ fn probe_report(outcome: &Outcome, width: usize) -> ProbeReport {
     }
 }
 
-fn print(report: &Report) -> Result<(), Fault> {
-    for probe in &report.probes {
+fn text(report: &Report) -> String {
+    let line = |probe: &ProbeReport| {
         let [x, y, z] = probe.position;
         let error = probe.relative_error.map_or("unknown".into(), |e| format!("{:.1} %", e * 100.0));
         let clamped = if probe.clamped > 0.0 {
@@ -202,14 +174,14 @@ fn print(report: &Report) -> Result<(), Fault> {
         } else {
             String::new()
         };
-        super::print_line(&format!(
+        format!(
             "{}  at {x:.3} {y:.3} {z:.3}, {} x {}, standard error of a pixel {error}{clamped}, {:.1} M rays in {:.1} s",
             probe.file,
             probe.size[0],
             probe.size[1],
             probe.rays as f64 / 1e6,
             probe.seconds
-        ))?;
-    }
-    Ok(())
+        )
+    };
+    report.probes.iter().map(line).collect::<Vec<_>>().join("\n")
 }

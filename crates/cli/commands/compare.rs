@@ -6,12 +6,13 @@ use gdibl_baker::analyse::{
     Answer, CompareSettings, Comparison, IrradianceError, NoiseUnknown, Truth, choose_sets, compare,
 };
 use gdibl_baker::import::reference::{is_json, parse_reference};
-use gdibl_baker::records::SettingsRecord;
+use gdibl_baker::job::records::SettingsRecord;
 use gdibl_runtime::Volume;
 use gdibl_runtime::format::{self, MAGIC};
 use serde::Serialize;
 
 use crate::fault::Fault;
+use crate::session::Outcome;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -28,9 +29,6 @@ pub struct Arguments {
     /// End with exit code 5 when the relative RMSE of irradiance is over this (0.01 is 1 %)
     #[arg(long, value_name = "F")]
     tolerance: Option<f64>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Serialize)]
@@ -70,8 +68,8 @@ impl Input {
     }
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
-    let Arguments { found: found_path, truth: truth_path, sets, tolerance, json } = &arguments;
+pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
+    let Arguments { found: found_path, truth: truth_path, sets, tolerance } = &arguments;
     if let Some(tolerance) = tolerance.filter(|tolerance| !(*tolerance >= 0.0 && tolerance.is_finite())) {
         return Err(Fault::Usage(format!("--tolerance {tolerance}: must be a share, at least 0 (0.01 is 1 %)")));
     }
@@ -92,19 +90,12 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let [found, truth] = [found_path, truth_path].map(|path| path.display().to_string());
     let report =
         Report { found, truth, found_deringed, truth_deringed, comparison, tolerance: *tolerance, within_tolerance };
-    if *json {
-        super::print_json(&report)?
-    } else {
-        print(&report)?
-    }
-    match (within_tolerance, tolerance) {
-        (Some(false), Some(tolerance)) => Err(Fault::Bound(format!(
-            "{}: relative RMSE of irradiance is {}, over --tolerance {tolerance}",
-            found_path.display(),
-            percent(relative_rmse)
-        ))),
-        _ => Ok(()),
-    }
+    let missed = tolerance.filter(|_| within_tolerance == Some(false)).map(|tolerance| {
+        let (path, found) = (found_path.display(), percent(relative_rmse));
+        format!("{path}: relative RMSE of irradiance is {found}, over --tolerance {tolerance}")
+    });
+    let text = text(&report);
+    Ok(Outcome::new(report, text).missing(missed))
 }
 
 /// The file's first bytes tell what it is.
@@ -137,7 +128,7 @@ fn chosen(truths: Vec<Truth>, names: &[String], path: &Path) -> Result<Vec<Truth
         .map_err(|name| Fault::Usage(format!("--set {name}: {} has no such set; it has {there}", path.display())))
 }
 
-fn print(report: &Report) -> Result<(), Fault> {
+fn text(report: &Report) -> String {
     let Report { found, truth, comparison, .. } = report;
     let Comparison { all, places, .. } = comparison;
     let mut lines = vec![format!("{found} against {truth}")];
@@ -200,7 +191,7 @@ fn print(report: &Report) -> Result<(), Fault> {
             row("", per_node_text(error));
         }
     }
-    super::print_line(&lines.join("\n"))
+    lines.join("\n")
 }
 
 fn bands_text(comparison: &Comparison, found: &str, truth: &str) -> String {

@@ -2,17 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use gdibl_baker::bands;
 use gdibl_baker::cut::{Part, Tile, coarser, difference, tiles, whole};
-use gdibl_baker::plan::PlanRow;
-use gdibl_baker::records::{ErrorSummary, Records};
-use gdibl_baker::volume::{PackSettings, Precision, pack, volume_of, write_whole};
+use gdibl_baker::job::Bands;
+use gdibl_baker::job::bands;
+use gdibl_baker::job::records::PlanRow;
+use gdibl_baker::job::records::{ErrorSummary, Records};
+use gdibl_baker::pack::{PackSettings, Precision, pack, volume_of, write_whole};
 use gdibl_runtime::Volume;
 use gdibl_runtime::format::{self, Codec, Directory, Encoding};
 use serde::Serialize;
 
-use crate::config::{Bands, parse_bands, parse_precision};
 use crate::fault::Fault;
+use crate::inputs::file_name;
+use crate::session::Outcome;
 
 /// Places at which a cut is compared with the volume.
 const PLACES: u32 = 10_000;
@@ -37,14 +39,11 @@ pub struct Arguments {
     #[arg(long, value_name = "BANDS", value_parser = parse_whole_bands)]
     sh: Option<u32>,
     /// f16, f32, packed or packed:ERROR [default: as the volume]
-    #[arg(long, value_name = "PRECISION", value_parser = parse_precision)]
+    #[arg(long, value_name = "PRECISION")]
     precision: Option<Precision>,
     /// Compress sections [default: as the volume; packed ones are]
     #[arg(long)]
     zstd: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 /// What `--json` prints.
@@ -76,7 +75,7 @@ struct List<'a> {
     tiles: &'a [FileReport],
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
+pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
     let Arguments { file, output, .. } = &arguments;
     let bytes = super::read_volume_bytes(file)?;
     let fault = |error: gdibl_runtime::Error| super::volume_fault(file, &error);
@@ -106,7 +105,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         }
         let part = Part { nodes, baked };
         let mut records = part.records(records.clone());
-        records.plan.push(plan_row(&arguments, &super::file_name(file), volume.node_count()));
+        records.plan.push(plan_row(&arguments, &file_name(file), volume.node_count()));
         let bytes = pack(&part.nodes, &part.baked, records, packing).bytes;
         write_whole(path, &bytes).map_err(Fault::from_writing)?;
         let part = Volume::parse(&bytes).expect("what was packed parses");
@@ -134,16 +133,17 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         difference: difference(&volume, &parts, PLACES),
         files,
     };
-    if arguments.json { super::print_json(&report) } else { print(&report, &arguments) }
+    let text = text(&report, &arguments);
+    Ok(Outcome::new(report, text))
 }
 
 /// All that the volume knows of how it was baked.
 fn records(directory: &Directory, path: &Path) -> Result<Records, Fault> {
     Ok(Records {
-        settings: super::record(directory, path, format::SETTINGS)?.unwrap_or_default(),
+        settings: super::record(directory, path, format::SETTINGS)?,
         plan: super::record(directory, path, format::PLAN)?.unwrap_or_default(),
         probes: super::record(directory, path, format::PROBES)?.unwrap_or_default(),
-        statistics: super::record(directory, path, format::STATISTICS)?.unwrap_or_default(),
+        statistics: super::record(directory, path, format::STATISTICS)?,
     })
 }
 
@@ -176,13 +176,13 @@ fn parse_width(text: &str) -> Result<f64, String> {
 }
 
 fn parse_whole_bands(text: &str) -> Result<u32, String> {
-    match parse_bands(text) {
+    match text.parse() {
         Ok(Bands::To(bands)) => Ok(bands),
         _ => Err("expected L0, L1, L2, L3 or L4".into()),
     }
 }
 
-fn print(report: &Report, arguments: &Arguments) -> Result<(), Fault> {
+fn text(report: &Report, arguments: &Arguments) -> String {
     let mut lines = vec![arguments.output.display().to_string()];
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<10} {text}"));
     if arguments.tile.is_some() {
@@ -200,5 +200,5 @@ fn print(report: &Report, arguments: &Arguments) -> Result<(), Fault> {
             format!("{median:.2} % median, {p95:.2} % 95th percentile, {max:.2} % worst, of E against the volume"),
         );
     }
-    super::print_line(&lines.join("\n"))
+    lines.join("\n")
 }

@@ -2,12 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use gdibl_baker::volume::write_whole;
+use gdibl_baker::pack::write_whole;
 use gdibl_export::{Engine, Error, Export, Loss, Settings, export};
 use gdibl_runtime::Volume;
 use serde::Serialize;
 
 use crate::fault::Fault;
+use crate::inputs::file_name;
+use crate::session::Outcome;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -24,9 +26,6 @@ pub struct Arguments {
     /// [default: the volume's own nodes]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_counts)]
     counts: Option<[u32; 3]>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -70,11 +69,11 @@ struct FileReport {
     bytes: usize,
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
-    let Arguments { file, to, output, counts, json } = &arguments;
+pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
+    let Arguments { file, to, output, counts } = &arguments;
     let volume = Volume::parse(&super::read_volume_bytes(file)?).map_err(|error| super::volume_fault(file, &error))?;
     super::check_output(output)?;
-    let settings = Settings { name: super::file_name(output), counts: *counts };
+    let settings = Settings { name: file_name(output), counts: *counts };
     let Export { files, report } = export(&volume, to.engine(), &settings).map_err(|error| match error {
         Error::Unsupported(message) => Fault::Unsupported(format!("{}: {message}", file.display())),
         Error::Settings(message) => Fault::Usage(message),
@@ -93,7 +92,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         deringed: volume.header().is_deringed(),
         export: report,
     };
-    if *json { super::print_json(&report) } else { print(&report, file) }
+    let text = text(&report, file);
+    Ok(Outcome::new(report, text))
 }
 
 fn parse_counts(text: &str) -> Result<[u32; 3], String> {
@@ -102,7 +102,7 @@ fn parse_counts(text: &str) -> Result<[u32; 3], String> {
     counts.filter(|counts| !counts.contains(&0)).ok_or("expected three whole numbers, 1 or more: 16,8,24".into())
 }
 
-fn print(report: &Report, volume: &Path) -> Result<(), Fault> {
+fn text(report: &Report, volume: &Path) -> String {
     let export = &report.export;
     let mut lines = vec![report.files[0].path.clone()];
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<10} {text}"));
@@ -134,7 +134,7 @@ fn print(report: &Report, volume: &Path) -> Result<(), Fault> {
     for note in &export.notes {
         row("note", note.message.clone());
     }
-    super::print_line(&lines.join("\n"))
+    lines.join("\n")
 }
 
 fn loss_text(loss: &Loss) -> String {

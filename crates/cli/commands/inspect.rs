@@ -3,20 +3,19 @@
 use std::path::PathBuf;
 
 use gdibl_baker::analyse::{VolumeSummary, summarise};
-use gdibl_baker::records::{PlanRow, ProbeRecord, SettingsRecord, StatisticsRecord};
+use gdibl_baker::job::records::{InputRecord, PlanRow, ProbeRecord, SettingsRecord, StatisticsRecord};
 use gdibl_runtime::format::{self, Codec, Directory, Encoding};
 use gdibl_runtime::{Header, Kind, Volume};
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::fault::Fault;
+use crate::session::Outcome;
 
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The volume
     file: PathBuf,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Serialize)]
@@ -34,10 +33,28 @@ struct Report {
     deringed: bool,
     sections: Vec<SectionReport>,
     volume: VolumeSummary,
-    settings: Option<SettingsRecord>,
+    /// Who wrote it.
+    program: Option<ProgramReport>,
+    /// Every setting in force, by its name in BAKE.toml; null: not set.
+    settings: Option<serde_json::Map<String, Value>>,
+    inputs: Option<Vec<InputReport>>,
     plan: Option<Vec<PlanRow>>,
     probes: Option<Vec<ProbeRecord>>,
     statistics: Option<StatisticsRecord>,
+}
+
+#[derive(Serialize)]
+struct ProgramReport {
+    name: String,
+    commit: String,
+}
+
+#[derive(Serialize)]
+struct InputReport {
+    role: String,
+    name: String,
+    bytes: u64,
+    blake3: String,
 }
 
 #[derive(Serialize)]
@@ -54,13 +71,14 @@ struct SectionReport {
     raw_bytes: u64,
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
+pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
     let path = &arguments.file;
     let bytes = super::read_volume_bytes(path)?;
     let fault = |error: gdibl_runtime::Error| super::volume_fault(path, &error);
     let directory = format::parse_header_and_sections(&bytes).map_err(fault)?;
     let volume = Volume::parse(&bytes).map_err(fault)?;
     let header = directory.header;
+    let settings: Option<SettingsRecord> = super::record(&directory, path, format::SETTINGS)?;
     let report = Report {
         file: path.display().to_string(),
         bytes: bytes.len(),
@@ -79,12 +97,42 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         deringed: header.is_deringed(),
         sections: sections(&directory),
         volume: summarise(&volume),
-        settings: super::record(&directory, path, format::SETTINGS)?,
+        program: settings.as_ref().map(|s| ProgramReport { name: s.writer.clone(), commit: s.commit.clone() }),
+        inputs: settings.as_ref().map(|settings| settings.inputs.iter().map(input_report).collect()),
+        settings: settings.as_ref().map(settings_report),
         plan: super::record(&directory, path, format::PLAN)?,
         probes: super::record(&directory, path, format::PROBES)?,
         statistics: super::record(&directory, path, format::STATISTICS)?,
     };
-    if arguments.json { super::print_json(&report) } else { print(&report, &header) }
+    let text = text(&report, &header);
+    Ok(Outcome::new(report, text))
+}
+
+/// By name. Of a file of an earlier version what that tells.
+fn settings_report(record: &SettingsRecord) -> serde_json::Map<String, Value> {
+    let value = |text: &Option<String>| text.as_ref().map_or(Value::Null, |text| value_of(text));
+    if !record.settings.is_empty() {
+        return record.settings.iter().map(|setting| (setting.name.clone(), value(&setting.value))).collect();
+    }
+    let SettingsRecord { method, blend, scene, sampler, samples, target_error, seed, .. } = record;
+    let earlier = serde_json::json!({
+        "quality.method": method, "quality.blend": blend, "quality.scene": scene, "quality.sampler": sampler,
+        "quality.samples": samples, "quality.target_error": target_error, "quality.seed": seed,
+    });
+    earlier.as_object().cloned().unwrap_or_default()
+}
+
+/// Numbers and switches as such.
+fn value_of(text: &str) -> Value {
+    serde_json::from_str(text)
+        .ok()
+        .filter(|value: &Value| value.is_number() || value.is_boolean())
+        .unwrap_or(text.into())
+}
+
+fn input_report(input: &InputRecord) -> InputReport {
+    let blake3 = input.blake3.iter().map(|byte| format!("{byte:02x}")).collect();
+    InputReport { role: input.role.clone(), name: input.name.clone(), bytes: input.bytes, blake3 }
 }
 
 fn kind_name(kind: Kind) -> &'static str {
@@ -106,7 +154,7 @@ fn sections(directory: &Directory) -> Vec<SectionReport> {
     directory.sections.iter().map(row).collect()
 }
 
-fn print(report: &Report, header: &Header) -> Result<(), Fault> {
+fn text(report: &Report, header: &Header) -> String {
     let mut lines = vec![format!("{}: version {}, {} bytes", report.file, report.version, report.bytes)];
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<11} {text}"));
     row("kind", kind_text(report, header));
@@ -152,16 +200,19 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
     for section in &report.sections {
         row("section", format!("{:<5} {:>10} bytes {}", section.id, section.stored_bytes, section.codec));
     }
-    if let Some(s) = &report.settings {
-        let target = s.target_error.map_or(String::new(), |t| format!(", target error {} %", (t * 100.0) as f32));
-        row("settings", format!("{}: {} of {}", s.writer, s.method, s.level));
-        row(
-            "",
-            format!(
-                "{} samples ({}), seed {}{target}, blend {}, scene {}",
-                s.samples, s.sampler, s.seed, s.blend, s.scene
-            ),
-        );
+    if let Some(ProgramReport { name, commit }) = &report.program {
+        let commit = if commit.is_empty() { String::new() } else { format!(", commit {commit}") };
+        row("program", format!("{name}{commit}"));
+    }
+    // What is not set says nothing.
+    let set = report.settings.iter().flatten().filter(|(_, value)| !value.is_null() && **value != Value::Bool(false));
+    for (i, (name, value)) in set.enumerate() {
+        let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        row(if i == 0 { "settings" } else { "" }, format!("{name} = {text}"));
+    }
+    for (i, input) in report.inputs.iter().flatten().enumerate() {
+        let text = format!("{} {}, {} bytes, {}", input.role, input.name, input.bytes, &input.blake3[..16]);
+        row(if i == 0 { "inputs" } else { "" }, text);
     }
     for plan in report.plan.iter().flatten() {
         row("plan", format!("{:<15} {:<9} {}", plan.stage, if plan.kept { "kept" } else { "left out" }, plan.why));
@@ -191,11 +242,14 @@ fn print(report: &Report, header: &Header) -> Result<(), Fault> {
             row("direction", format!("{text} (the same in the worst direction and channel)"));
         }
         row("work", format!("{rays:.1} M rays for {samples:.1} M directions"));
+        if !statistics.stages.is_empty() {
+            row("stages", super::stages_text(&statistics.stages));
+        }
         for finding in &statistics.findings {
             row("finding", format!("{} ({}): {}", finding.id, finding.count, finding.message));
         }
     }
-    super::print_line(&lines.join("\n"))
+    lines.join("\n")
 }
 
 fn kind_text(report: &Report, header: &Header) -> String {

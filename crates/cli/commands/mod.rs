@@ -11,34 +11,14 @@ pub mod render;
 pub mod sample;
 pub mod study;
 
-use gdibl_baker::records::{
-    DeringingRecord, PackingRecord, Record, SparseLevel, SparseRecord, StandingRecord, SunRecord, WallsRecord, decode,
+use gdibl_baker::job::records::{
+    DeringingRecord, PackingRecord, Record, SparseLevel, SparseRecord, StageRecord, StandingRecord, StatisticsRecord,
+    SunRecord, WallsRecord, decode,
 };
 use gdibl_runtime::format::{Directory, Limits};
-use serde::Serialize;
-use std::io::Write;
 use std::path::Path;
 
 use crate::fault::Fault;
-
-/// A line on stdout. A reader that went away (`gdibl … | head`) is not an error worth a message.
-fn print_line(line: &str) -> Result<(), Fault> {
-    match writeln!(std::io::stdout(), "{line}") {
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        Err(error) => Err(Fault::System(format!("cannot write to standard output: {error}"))),
-        Ok(()) => Ok(()),
-    }
-}
-
-/// A value as JSON on stdout.
-fn print_json(value: &impl Serialize) -> Result<(), Fault> {
-    print_line(&serde_json::to_string_pretty(value).expect("reports are plain data"))
-}
-
-/// The last part of a path, for records that must not depend on where a level lies.
-pub fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
-}
 
 /// An output that cannot be written is found out before hours of work.
 fn check_output(output: &Path) -> Result<(), Fault> {
@@ -117,9 +97,24 @@ fn deringing_text(deringing: &DeringingRecord) -> String {
     format!("{} nodes; their irradiance changed by {median:.2} % median, {max:.2} % worst node", deringing.nodes)
 }
 
-/// Bytes that can still be taken without swapping; `None` where the system does not tell.
-fn memory_available() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<f64>().ok().map(|kilobytes| kilobytes * 1024.0)
+/// What each stage took, in words.
+fn stages_text(stages: &[StageRecord]) -> String {
+    let text = |stage: &StageRecord| match stage.seconds {
+        Some(seconds) => format!("{} {:.2} s", stage.stage, seconds.wall),
+        None => format!("{} {:.1} M rays", stage.stage, stage.rays as f64 / 1e6),
+    };
+    stages.iter().map(text).collect::<Vec<_>>().join(", ")
+}
+
+/// How sure the bake is, in words.
+fn error_text(statistics: &StatisticsRecord) -> String {
+    match statistics.relative_error {
+        Some(e) => format!(
+            "{:.2} % median, {:.2} % 95th percentile, {:.2} % worst node (standard error of irradiance)",
+            e.median * 100.0,
+            e.p95 * 100.0,
+            e.max * 100.0
+        ),
+        None => "not measured: that takes at least two samples per node".into(),
+    }
 }

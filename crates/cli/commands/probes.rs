@@ -1,25 +1,26 @@
 //! `gdibl probes`: what probes have seen of a level, and where further ones should stand.
 
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+use gdibl_baker::Control;
 use gdibl_baker::analyse::{Coverage, CoveragePaint, CoverageView, Covered, Viewpoint, coverage};
 use gdibl_baker::capture::{PlaceSettings, Placement, place_probes};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::write_png;
+use gdibl_baker::job::Inputs;
 use gdibl_baker::radiance::path::Path as Paths;
 use gdibl_baker::render::{RenderSettings, render, tone};
 use gdibl_baker::scene::Role;
-use gdibl_baker::{Control, Finding};
 use glam::DVec3;
 use serde::Serialize;
 
 use super::render::{CameraFlags, camera_of, parse_size};
-use crate::captures::path_settings;
-use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, set_threads};
+use crate::config::{Config, FileFlags, LightFlags, set_threads};
 use crate::fault::Fault;
-use crate::inputs::{Inputs, parse_bounds};
+use crate::flags::{Given, OfReading, SettingFlags};
+use crate::inputs::read_inputs;
+use crate::session::{Outcome, Session};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -40,25 +41,13 @@ enum Verb {
 struct LevelFlags {
     /// LEVEL.glb, LEVEL.gltf or BAKE.toml
     input: PathBuf,
-    /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable [default: those that the input
-    /// names]
-    #[arg(long, value_name = "PATH")]
-    probes: Vec<PathBuf>,
-    /// Panorama at infinity: the sky, the street outside
-    #[arg(long, value_name = "IMAGE")]
-    distant: Option<PathBuf>,
+    #[command(flatten)]
+    light: LightFlags,
     /// Box whose free space looks around, world metres: x0,y0,z0,x1,y1,z1 [default: the level's box]
-    #[arg(long, value_name = "BOX", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
-    bounds: Option<Vec<f64>>,
-    /// Replace NaN, infinite and negative pixels instead of refusing the image
-    #[arg(long)]
-    repair_pixels: bool,
-    /// Worker threads; the result does not depend on it [default: all]
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
-    /// Print the result as JSON
-    #[arg(long)]
-    json: bool,
+    #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
+    bounds: Option<String>,
+    #[command(flatten)]
+    settings: SettingFlags<OfReading>,
 }
 
 #[derive(clap::Args)]
@@ -98,7 +87,6 @@ struct CoverageReport {
     output: Option<String>,
     wall_seconds: f64,
     cpu_seconds: f64,
-    findings: Vec<Finding>,
 }
 
 /// What `suggest --json` prints.
@@ -114,7 +102,6 @@ struct SuggestReport {
     suggestions: Vec<SuggestionReport>,
     wall_seconds: f64,
     cpu_seconds: f64,
-    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -129,10 +116,10 @@ struct SuggestionReport {
     drop_in_uncovered_solid_angle: f64,
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
+pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     match arguments.verb {
-        Verb::Coverage(arguments) => run_coverage(&arguments),
-        Verb::Suggest(arguments) => run_suggest(&arguments),
+        Verb::Coverage(arguments) => run_coverage(&arguments, session),
+        Verb::Suggest(arguments) => run_suggest(&arguments, session),
     }
 }
 
@@ -145,29 +132,22 @@ struct Level {
 
 impl Level {
     fn read(flags: &LevelFlags) -> Result<Level, Fault> {
-        let files = FileFlags {
-            input: flags.input.clone(),
-            output: None,
-            probes: flags.probes.clone(),
-            distant: flags.distant.clone(),
-            environment: None,
-        };
-        let grid = GridFlags { bounds: flags.bounds.clone(), ..GridFlags::default() };
-        let quality = QualityFlags {
-            repair_pixels: flags.repair_pixels.then_some(true),
-            threads: flags.threads,
-            ..QualityFlags::default()
-        };
-        let config = Config::new(files, grid, quality, CaptureFlags::default())?;
-        set_threads(config.quality.threads)?;
-        let inputs = Inputs::read(&config, TextureNeeds::All)?;
+        let mut given = flags.settings.given.clone();
+        given.extend(flags.bounds.iter().map(|bounds| Given::new("grid", "bounds", bounds)));
+        let config = Config::new(FileFlags::of(&flags.input, flags.light.clone()), &given)?;
+        set_threads(&config.settings)?;
+        let inputs = read_inputs(&config, TextureNeeds::All)?;
         let environment = inputs.scene.bounds(|mesh| mesh.role == Role::Environment).ok_or_else(|| {
             let level = config.level.display();
             Fault::Invalid(format!(
                 "{level}: has no triangles of environment geometry, so nothing that a probe could see"
             ))
         })?;
-        let bounds = config.grid.bounds.as_deref().map_or(Ok(environment), parse_bounds)?;
+        let bounds = config
+            .settings
+            .grid
+            .bounds
+            .map_or(environment, |[x0, y0, z0, x1, y1, z1]| (DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)));
         Ok(Level { config, inputs, bounds })
     }
 
@@ -186,7 +166,7 @@ impl Level {
     }
 }
 
-fn run_coverage(arguments: &CoverageArguments) -> Result<(), Fault> {
+fn run_coverage(arguments: &CoverageArguments, session: &Session) -> Result<Outcome, Fault> {
     let started = Instant::now();
     let level = Level::read(&arguments.level)?;
     if level.inputs.probes.is_empty() {
@@ -200,8 +180,8 @@ fn run_coverage(arguments: &CoverageArguments) -> Result<(), Fault> {
         }
         super::check_output(output)?;
     }
-    level.inputs.warn();
-    let paths = Paths::new(&level.inputs.scene, level.inputs.distant.as_ref(), path_settings(&level.config)?);
+    session.find(&level.inputs.findings);
+    let paths = Paths::new(&level.inputs.scene, level.inputs.distant.as_ref(), level.config.settings.capture_path());
     let viewpoint = |probe: &gdibl_baker::radiance::gdibl::Probe| Viewpoint {
         position: probe.position,
         pixels: probe.panorama.width() * probe.panorama.height(),
@@ -217,7 +197,7 @@ fn run_coverage(arguments: &CoverageArguments) -> Result<(), Fault> {
         let [width, height] = arguments.size;
         let settings = RenderSettings { width, height, samples: 16, ..RenderSettings::default() };
         let paint = CoveragePaint::new(&view, found.surfaces_by_solid_angle.pixel_size);
-        let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+        let control = Control { cancel: &session.cancel, progress: &|_, _| {} };
         let picture = render(&paint, None, &camera, &settings, &control).map_err(|_| Fault::Interrupted)?;
         write_png(output, width, height, &tone::display(&picture.image, 0.0)).map_err(Fault::from_writing)?;
     }
@@ -228,12 +208,12 @@ fn run_coverage(arguments: &CoverageArguments) -> Result<(), Fault> {
         output: arguments.output.as_ref().map(|output| output.display().to_string()),
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
-        findings: level.inputs.findings,
     };
-    if arguments.level.json { super::print_json(&report) } else { print_coverage(&report) }
+    let text = coverage_text(&report);
+    Ok(Outcome::new(report, text))
 }
 
-fn print_coverage(report: &CoverageReport) -> Result<(), Fault> {
+fn coverage_text(report: &CoverageReport) -> String {
     let Coverage { free_places, surfaces_by_solid_angle, surfaces_by_area, distant } = &report.coverage;
     let mut lines = vec![
         report.level.clone(),
@@ -252,7 +232,7 @@ fn print_coverage(report: &CoverageReport) -> Result<(), Fault> {
         ));
     }
     lines.push(format!("  work        {:.2} s ({:.2} s of CPU)", report.wall_seconds, report.cpu_seconds));
-    super::print_line(&lines.join("\n"))
+    lines.join("\n")
 }
 
 fn covered_text(covered: &Covered, unit: &str, pixel: &str) -> String {
@@ -277,14 +257,14 @@ fn figure(value: f64) -> String {
     }
 }
 
-fn run_suggest(arguments: &SuggestArguments) -> Result<(), Fault> {
+fn run_suggest(arguments: &SuggestArguments, session: &Session) -> Result<Outcome, Fault> {
     let started = Instant::now();
     let level = Level::read(&arguments.level)?;
-    level.inputs.warn();
+    session.find(&level.inputs.findings);
     let defaults = PlaceSettings::default();
-    let most = arguments.most.or(level.config.capture.most).unwrap_or(defaults.most);
+    let most = arguments.most.or(level.config.settings.capture.most).unwrap_or(defaults.most);
     let settings = PlaceSettings { most, gain: arguments.gain.unwrap_or(defaults.gain) };
-    let paths = Paths::new(&level.inputs.scene, level.inputs.distant.as_ref(), path_settings(&level.config)?);
+    let paths = Paths::new(&level.inputs.scene, level.inputs.distant.as_ref(), level.config.settings.capture_path());
     let existing: Vec<DVec3> = level.inputs.probes.iter().map(|probe| probe.position).collect();
     let placement = place_probes(&paths, level.bounds, &existing, &settings);
     if placement.places == 0 {
@@ -299,9 +279,9 @@ fn run_suggest(arguments: &SuggestArguments) -> Result<(), Fault> {
         suggestions: suggestions(&placement),
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
-        findings: level.inputs.findings,
     };
-    if arguments.level.json { super::print_json(&report) } else { print_suggestions(&report) }
+    let text = suggestions_text(&report);
+    Ok(Outcome::new(report, text))
 }
 
 fn suggestions(placement: &Placement) -> Vec<SuggestionReport> {
@@ -319,7 +299,7 @@ fn suggestions(placement: &Placement) -> Vec<SuggestionReport> {
     placement.suggestions.iter().map(report).collect()
 }
 
-fn print_suggestions(report: &SuggestReport) -> Result<(), Fault> {
+fn suggestions_text(report: &SuggestReport) -> String {
     let mut lines = vec![
         report.level.clone(),
         format!(
@@ -344,7 +324,7 @@ fn print_suggestions(report: &SuggestReport) -> Result<(), Fault> {
         )
     }));
     lines.push(format!("  {:.2} s ({:.2} s of CPU)", report.wall_seconds, report.cpu_seconds));
-    super::print_line(&lines.join("\n"))
+    lines.join("\n")
 }
 
 fn parse_gain(text: &str) -> Result<f64, String> {

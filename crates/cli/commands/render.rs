@@ -1,15 +1,15 @@
 //! `gdibl render`: a picture of a level in its probes' light.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{MAX_PIXELS, Pose, SampleFormat, write_exr, write_exr_picture, write_png};
+use gdibl_baker::job::records::PlanRow;
+use gdibl_baker::job::{Method, Work, with_function};
 use gdibl_baker::panorama::{Image, Mapping};
 use gdibl_baker::radiance::RadianceFunction;
-use gdibl_baker::radiance::blend::BlendRule;
-use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
-use gdibl_baker::radiance::path::Path as Paths;
 use gdibl_baker::render::{Camera, Picture, RenderSettings, render, tone};
 use gdibl_baker::scene::{Role, Scene};
 use gdibl_baker::{Control, Finding};
@@ -17,14 +17,13 @@ use gdibl_runtime::Volume;
 use glam::DVec3;
 use serde::Serialize;
 
-use crate::captures::{capture_missing, say};
-use crate::config::{
-    CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, RunFlags, gdibl_settings, parse_blend,
-    parse_method, parse_position, path_settings, set_threads,
-};
+use crate::captures::capture_missing;
+use crate::config::{Config, FileFlags, LightFlags, set_threads};
 use crate::fault::Fault;
-use crate::inputs::Inputs;
-use crate::progress::{Progress, cancel_on_interrupt};
+use crate::flags::{Given, OfPictures, SettingFlags};
+use crate::inputs::read_inputs;
+use crate::progress::Progress;
+use crate::session::{Outcome, Session};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -48,40 +47,31 @@ pub struct Arguments {
     /// Light scene geometry from this volume, as an engine would, instead of by rays
     #[arg(long, value_name = "FILE.gdibl")]
     volume: Option<PathBuf>,
-    /// gdibl, or path: path tracing, the ground truth, which needs no probe [default: gdibl]
-    #[arg(long, value_name = "NAME", value_parser = parse_method)]
-    method: Option<Method>,
-    /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable [default: those that the input
-    /// names, or, if there are none, captured ones]
-    #[arg(long, value_name = "PATH")]
-    probes: Vec<PathBuf>,
-    /// Panorama at infinity: the sky, the street outside
-    #[arg(long, value_name = "IMAGE")]
-    distant: Option<PathBuf>,
-    /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
-    /// [default: footprint:4]
-    #[arg(long, value_name = "RULE", value_parser = parse_blend)]
-    blend: Option<BlendRule>,
+    #[command(flatten)]
+    light: LightFlags,
+    #[command(flatten)]
+    settings: SettingFlags<OfPictures>,
     /// Stops by which a PNG is brightened (negative: darkened) [default: so that the log-mean is middle grey]
     #[arg(long, value_name = "STOPS", value_parser = parse_stops, allow_hyphen_values = true)]
     exposure: Option<f32>,
-    #[command(flatten)]
-    run: RunFlags,
+    /// No progress bar
+    #[arg(long)]
+    quiet: bool,
 }
 
 #[derive(clap::Args)]
 pub struct CameraFlags {
     /// Where the camera stands, world metres [default: just inside a corner of the level's box]
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_place, allow_hyphen_values = true)]
     eye: Option<[f64; 3]>,
     /// What it looks at, world metres [default: the middle of the level's box]
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_place, allow_hyphen_values = true)]
     target: Option<[f64; 3]>,
     /// Vertical field of view, degrees [default: 60]
     #[arg(long, value_name = "DEGREES", value_parser = parse_fov)]
     fov: Option<f64>,
     /// A lat-long panorama from this place instead, in the world's axes; as EXR it is a probe with its pose
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true,
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_place, allow_hyphen_values = true,
           conflicts_with_all = ["eye", "target", "fov"])]
     panorama: Option<[f64; 3]>,
 }
@@ -102,7 +92,6 @@ struct Report {
     wall_seconds: f64,
     cpu_seconds: f64,
     seed: u64,
-    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -119,52 +108,40 @@ enum FileType {
     Exr,
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
+pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let started = Instant::now();
-    let cancel = cancel_on_interrupt();
     let output = arguments.output.clone().unwrap_or_else(|| arguments.input.with_extension("png"));
     let file_type = file_type(&output)?;
     if file_type == FileType::Exr && arguments.exposure.is_some() {
         return Err(Fault::Usage("--exposure: an EXR holds radiance as it is; write a .png, or leave it out".into()));
     }
-    let config = config_of(&arguments)?;
-    set_threads(config.quality.threads)?;
-    let method = config.quality.method.unwrap_or_default();
+    let config = config_of(&arguments, &output)?;
+    set_threads(&config.settings)?;
 
     // Everything is read and refused before the first ray.
     let volume = arguments.volume.as_deref().map(read_volume).transpose()?;
-    let mut inputs = Inputs::read(&config, config.textures(true))?;
+    // A picture shows the level's own surfaces from near.
+    let mut inputs = read_inputs(&config, TextureNeeds::All)?;
+    let method = inputs.method(&config.settings);
     let camera = camera_of(&arguments.camera, &inputs.scene)?;
     let settings = settings_of(&arguments, &config, &camera);
-    inputs.warn();
     if let Some(volume) = &volume {
-        warn_of_volume(volume, &inputs.scene);
+        inputs.findings.extend(findings_of_volume(volume, &inputs.scene));
     }
-    inputs.check_light(&config, method)?;
+    session.find(&inputs.findings);
+    inputs.check_light(method)?;
     super::check_output(&output)?;
     if method == Method::Gdibl && inputs.lacks_probes() {
-        capture_missing(&config, &mut inputs, &cancel, arguments.run.quiet)?;
+        capture_missing(&config, &mut inputs, &session.cancel, arguments.quiet)?;
     }
 
-    let job = Job { volume: volume.as_ref(), camera: &camera, settings: &settings, cancel: &cancel };
-    let picture = match method {
-        Method::Gdibl => {
-            let settings = gdibl_settings(&config.quality, inputs.captured, 0);
-            job.render(
-                &Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), settings),
-                arguments.run.quiet,
-            )?
-        }
-        Method::Path => {
-            let settings = path_settings(&config.quality)?;
-            job.render(&Paths::new(&inputs.scene, inputs.distant.as_ref(), settings), arguments.run.quiet)?
-        }
-    };
+    let shot = Shot { volume: volume.as_ref(), camera: &camera, settings: &settings, session, quiet: arguments.quiet };
+    let picture = with_function(&inputs, inputs.distant.as_ref(), &config.settings, 0, shot)?;
     let exposure_stops = match file_type {
         FileType::Png => Some(arguments.exposure.unwrap_or_else(|| tone::automatic_exposure_stops(&picture.image))),
         FileType::Exr => None,
     };
-    if cancel.load(Ordering::Relaxed) {
+    if session.cancel.load(Ordering::Relaxed) {
         return Err(Fault::Interrupted);
     }
     write(&output, &picture.image, &camera, exposure_stops)?;
@@ -173,10 +150,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         output: output.display().to_string(),
         size: [settings.width, settings.height],
         camera: CameraReport::of(&camera),
-        method: match method {
-            Method::Gdibl => "gdibl",
-            Method::Path => "path",
-        },
+        method: if method == Method::Path { "path" } else { "gdibl" },
         samples: settings.samples,
         exposure_stops,
         uncovered: picture.uncovered,
@@ -184,31 +158,18 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
         seed: settings.seed,
-        findings: inputs.findings,
     };
-    if arguments.run.json { super::print_json(&report) } else { print(&report, arguments.exposure.is_none()) }
+    let text = text(&report, arguments.exposure.is_none());
+    Ok(Outcome::new(report, text))
 }
 
-/// The command line and BAKE.toml together. A picture's samples and depth are its own.
-fn config_of(arguments: &Arguments) -> Result<Config, Fault> {
-    let files = FileFlags {
-        input: arguments.input.clone(),
-        // The volume's: captured probes lie beside it, for bakes and for pictures from all sides.
-        output: None,
-        probes: arguments.probes.clone(),
-        distant: arguments.distant.clone(),
-        environment: None,
-    };
-    let quality = QualityFlags {
-        method: arguments.method,
-        scene: arguments.depth.map(SceneHit::Recurse),
-        blend: arguments.blend,
-        repair_pixels: arguments.run.repair_pixels.then_some(true),
-        seed: arguments.run.seed,
-        threads: arguments.run.threads,
-        ..QualityFlags::default()
-    };
-    Config::new(files, GridFlags::default(), quality, CaptureFlags::default())
+/// The command line and BAKE.toml together. A picture's samples and depth are its own. Captured probes lie beside the
+/// picture.
+fn config_of(arguments: &Arguments, output: &Path) -> Result<Config, Fault> {
+    let mut given = arguments.settings.given.clone();
+    given.extend(arguments.depth.map(|depth| Given::new("quality", "scene", format!("recurse:{depth}"))));
+    let files = FileFlags { output: Some(output.into()), ..FileFlags::of(&arguments.input, arguments.light.clone()) };
+    Config::new(files, &given)
 }
 
 fn settings_of(arguments: &Arguments, config: &Config, camera: &Camera) -> RenderSettings {
@@ -223,8 +184,8 @@ fn settings_of(arguments: &Arguments, config: &Config, camera: &Camera) -> Rende
         height,
         samples: arguments.samples.unwrap_or(defaults.samples),
         depth: arguments.depth.unwrap_or(defaults.depth),
-        seed: config.quality.seed.unwrap_or(defaults.seed),
-        sampler: config.quality.sampler.unwrap_or(defaults.sampler),
+        seed: config.settings.quality.seed,
+        sampler: config.settings.quality.sampler,
     }
 }
 
@@ -244,18 +205,22 @@ pub fn camera_of(flags: &CameraFlags, scene: &Scene) -> Result<Camera, Fault> {
     Ok(camera)
 }
 
-/// What the steps of a picture share.
-struct Job<'a> {
+/// A picture to be taken.
+struct Shot<'a> {
     volume: Option<&'a Volume>,
     camera: &'a Camera,
     settings: &'a RenderSettings,
-    cancel: &'a AtomicBool,
+    session: &'a Session,
+    quiet: bool,
 }
 
-impl Job<'_> {
-    fn render(&self, function: &impl RadianceFunction, quiet: bool) -> Result<Picture, Fault> {
-        let progress = Progress::new("pixels", (self.settings.width * self.settings.height) as u64, quiet);
-        let control = Control { cancel: self.cancel, progress: &|pixels, rays| progress.advance(pixels, rays) };
+impl Work for Shot<'_> {
+    type Output = Result<Picture, Fault>;
+
+    fn run(self, function: &impl RadianceFunction, _: Vec<PlanRow>) -> Result<Picture, Fault> {
+        let progress = Progress::new("pixels", (self.settings.width * self.settings.height) as u64, self.quiet);
+        let advance = |pixels, rays| progress.advance(pixels, rays);
+        let control = Control { cancel: &self.session.cancel, progress: &advance };
         let picture = render(function, self.volume, self.camera, self.settings, &control);
         let picture = picture.map_err(|_| Fault::Interrupted)?;
         progress.finish();
@@ -275,15 +240,17 @@ fn read_volume(path: &Path) -> Result<Volume, Fault> {
 }
 
 /// Says where the volume has nothing to do, or not everything.
-fn warn_of_volume(volume: &Volume, scene: &Scene) {
+fn findings_of_volume(volume: &Volume, scene: &Scene) -> Option<Finding> {
+    let finding = |message: &str| Some(Finding::new("volume-of-picture", 1, message));
     let Some((min, max)) = scene.bounds(|mesh| mesh.role == Role::Scene) else {
-        return say("--volume lights scene geometry (gdibl_role = \"scene\"), and the level has none");
+        return finding("--volume lights scene geometry (gdibl_role = \"scene\"), and the level has none");
     };
     let header = volume.header();
     let inside = DVec3::from(header.min).cmple(min).all() && DVec3::from(header.max).cmpge(max).all();
-    if !inside {
-        say("scene geometry reaches out of the volume's box; there it gets the nearest light of the box");
+    if inside {
+        return None;
     }
+    finding("scene geometry reaches out of the volume's box; there it gets the nearest light of the box")
 }
 
 fn file_type(output: &Path) -> Result<FileType, Fault> {
@@ -317,6 +284,11 @@ pub fn parse_size(text: &str) -> Result<[usize; 2], String> {
     Ok(size)
 }
 
+fn parse_place(text: &str) -> Result<[f64; 3], String> {
+    let places: Vec<[f64; 3]> = gdibl_baker::job::Text::parse(&[text])?;
+    Ok(places[0])
+}
+
 fn parse_fov(text: &str) -> Result<f64, String> {
     let degrees = text.parse().ok().filter(|degrees| *degrees > 0.0 && *degrees < 180.0);
     degrees.ok_or("expected degrees between 0 and 180".into())
@@ -337,7 +309,7 @@ impl CameraReport {
     }
 }
 
-fn print(report: &Report, automatic: bool) -> Result<(), Fault> {
+fn text(report: &Report, automatic: bool) -> String {
     let place = |[x, y, z]: [f64; 3]| format!("{x:.3},{y:.3},{z:.3}");
     let camera = match report.camera {
         CameraReport::Pinhole { eye, target, fov } => {
@@ -366,5 +338,5 @@ fn print(report: &Report, automatic: bool) -> Result<(), Fault> {
         let share = report.uncovered * 100.0;
         lines.push(format!("  uncovered  {share:.2} % of the light: no probe has seen where it comes from; black"));
     }
-    super::print_line(&lines.join("\n"))
+    lines.join("\n")
 }

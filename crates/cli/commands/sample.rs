@@ -1,12 +1,14 @@
 //! `gdibl sample`: light at the places of a CSV file.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
+use gdibl_baker::Finding;
 use gdibl_runtime::{Sample, Volume, sh};
+use serde::Serialize;
 
 use crate::fault::Fault;
 use crate::inputs::{Places, read_places};
+use crate::session::{Outcome, Session};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -18,19 +20,22 @@ pub struct Arguments {
     /// Print radiance coefficients sh0r,sh0g,sh0b,sh1r … instead of irradiance
     #[arg(long)]
     sh: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    /// One object per place, by column names.
+    samples: Vec<serde_json::Map<String, serde_json::Value>>,
+}
+
+pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let bytes = super::read_volume_bytes(&arguments.file)?;
     let volume = Volume::parse(&bytes).map_err(|error| super::volume_fault(&arguments.file, &error))?;
     if volume.header().is_deringed() {
-        eprintln!(
-            "gdibl: {} is de-ringed: coefficients of nodes that rang are not the raw projection",
-            arguments.file.display()
-        );
+        let file = arguments.file.display();
+        let message = format!("{file} is de-ringed: coefficients of nodes that rang are not the raw projection");
+        session.find(&[Finding::new("deringed", 1, message)]);
     }
     let places = read_places(&arguments.at)?;
     if places.normals.is_empty() && !arguments.sh {
@@ -43,20 +48,15 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         (0..places.positions.len()).map(|i| volume.sample_f64(places.positions[i].into(), places.normal(i))).collect();
     let outside = samples.iter().filter(|s| !s.inside).count();
     if outside > 0 {
-        eprintln!(
-            "gdibl: {outside} of {} places are outside the volume's box; they get its nearest light",
-            samples.len()
-        );
+        let all = samples.len();
+        let message = format!("{outside} of {all} places are outside the volume's box; they get its nearest light");
+        session.find(&[Finding::new("outside", outside as u64, message)]);
     }
     let rows: Vec<Vec<f64>> = samples.iter().enumerate().map(|(i, s)| row(&places, i, s, arguments.sh)).collect();
     let names = column_names(&places, volume.header().bands, arguments.sh);
-    let written = if arguments.json { write_json(&names, &rows) } else { write_csv(&names, &rows) };
-    match written {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(Fault::writing(Path::new("stdout"), &error))
-        }
-        _ => Ok(()),
-    }
+    let text = csv_of(&names, &rows);
+    let object = |row: &Vec<f64>| names.iter().cloned().zip(row.iter().map(|value| (*value).into())).collect();
+    Ok(Outcome::new(Report { samples: rows.iter().map(object).collect() }, text))
 }
 
 /// The columns that came in, then the answer.
@@ -90,22 +90,14 @@ fn column_names(places: &Places, bands: u32, coefficients: bool) -> Vec<String> 
     names
 }
 
-fn write_csv(names: &[String], rows: &[Vec<f64>]) -> std::io::Result<()> {
-    let mut out = csv::Writer::from_writer(std::io::stdout().lock());
-    out.write_record(names)?;
+fn csv_of(names: &[String], rows: &[Vec<f64>]) -> String {
+    // Shortest text that reads back as the same number; coefficients are f32.
+    let leading = names.iter().take_while(|n| n.len() < 3 && !matches!(n.as_str(), "r" | "g" | "b")).count();
+    let mut text = names.join(",") + "\n";
     for row in rows {
-        // Shortest text that reads back as the same number; coefficients are f32.
-        let leading = names.iter().take_while(|n| n.len() < 3 && !matches!(n.as_str(), "r" | "g" | "b")).count();
-        let text = |(i, v): (usize, &f64)| if i < leading { v.to_string() } else { (*v as f32).to_string() };
-        out.write_record(row.iter().enumerate().map(text))?;
+        let number = |(i, v): (usize, &f64)| if i < leading { v.to_string() } else { (*v as f32).to_string() };
+        text += &row.iter().enumerate().map(number).collect::<Vec<_>>().join(",");
+        text.push('\n');
     }
-    out.flush()
-}
-
-fn write_json(names: &[String], rows: &[Vec<f64>]) -> std::io::Result<()> {
-    let objects: Vec<serde_json::Map<String, serde_json::Value>> =
-        rows.iter().map(|row| names.iter().cloned().zip(row.iter().map(|v| (*v).into())).collect()).collect();
-    let mut out = std::io::stdout().lock();
-    serde_json::to_writer_pretty(&mut out, &objects)?;
-    writeln!(out)
+    text
 }

@@ -2,24 +2,27 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
-use std::time::Instant;
 
+use gdibl_baker::Finding;
 use gdibl_baker::analyse::Truth;
 use gdibl_baker::analyse::study::{Study, StudySettings};
 use gdibl_baker::bake::{BakeSettings, Nodes, SparseGrid};
 use gdibl_baker::import::gltf::TextureNeeds;
-use gdibl_baker::volume::write_whole;
+use gdibl_baker::job::{Bands, Inputs, Job, Method, NodeKind, Settings};
+use gdibl_baker::pack::write_whole;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::bake::{bake_settings, check_memory};
 use super::compare::{Kind, read};
-use crate::captures::{capture_missing, say};
-use crate::config::{Bands, CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, set_threads};
+use crate::captures::capture_missing;
+use crate::config::{Config, FileFlags, LightFlags, set_threads};
 use crate::fault::Fault;
-use crate::inputs::{Inputs, nodes_of};
-use crate::progress::{Progress, cancel_on_interrupt};
+use crate::flags::{OfBakes, SettingFlags};
+use crate::inputs::{file_name, memory_of, read_inputs};
+use crate::progress::{Clock, Progress};
+use crate::session::{Outcome, Session, say};
 use crate::study::methods::{self, Circumstances, LeftOut};
+use crate::study::report::{ReferenceReport, Report};
 use crate::study::runner::{Ladder, Runner};
 use crate::study::{page, plot, words};
 
@@ -31,12 +34,8 @@ pub struct Arguments {
     /// .study.html …]
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
-    /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable
-    #[arg(long, value_name = "PATH")]
-    probes: Vec<PathBuf>,
-    /// Panorama at infinity: the sky, the street outside
-    #[arg(long, value_name = "IMAGE")]
-    distant: Option<PathBuf>,
+    #[command(flatten)]
+    light: LightFlags,
     /// Other geometry for the environment (a proxy) [default: the level's nodes by role]
     #[arg(long, value_name = "FILE")]
     environment: Option<PathBuf>,
@@ -63,94 +62,51 @@ pub struct Arguments {
     #[arg(long, value_name = "F", default_value_t = 0.01)]
     at: f64,
     #[command(flatten)]
-    grid: GridFlags,
-    #[command(flatten)]
-    quality: QualityFlags,
+    settings: SettingFlags<OfBakes>,
     /// Never capture probes from the level: study with what is given
     #[arg(long)]
     no_capture: bool,
-    /// Print the result as JSON
-    #[arg(long)]
-    json: bool,
     /// No progress bar
     #[arg(long)]
     quiet: bool,
 }
 
-/// What OUT.json holds and `--json` prints.
-#[derive(Serialize)]
-pub struct Report {
-    pub program: &'static str,
-    pub level: String,
-    /// Where the nodes are, for a person.
-    pub places: String,
-    /// For a person.
-    pub light: String,
-    pub sh: String,
-    pub budgets: Vec<u64>,
-    pub repeats: usize,
-    /// Of the first and of the last repeat; every budget has its own.
-    pub seeds: [u64; 2],
-    pub reference: ReferenceReport,
-    pub threads: usize,
-    pub processor: String,
-    pub left_out: Vec<LeftOut>,
-    pub study: Study,
-    pub wall_seconds: f64,
-    pub cpu_seconds: f64,
-    pub findings: Vec<gdibl_baker::Finding>,
-}
-
-#[derive(Serialize)]
-pub struct ReferenceReport {
-    /// For a person.
-    pub about: String,
-    /// Directions per node, of one that was made.
-    pub samples: Option<u64>,
-    pub seed: Option<u64>,
-    /// What it took to make it.
-    pub wall_seconds: Option<f64>,
-    pub cpu_seconds: Option<f64>,
-}
-
-pub fn run(arguments: Arguments) -> Result<(), Fault> {
-    let started = Instant::now();
-    let cancel = cancel_on_interrupt();
+pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
+    let clock = Clock::start();
     let asked = check_arguments(&arguments)?;
-    let Arguments { budgets, json, quiet, at, .. } = &arguments;
+    let Arguments { budgets, quiet, at, .. } = &arguments;
     let stem = arguments.output.as_deref().map(stem_of);
     let files = FileFlags {
         input: arguments.input.clone(),
         // Captured probes go where those of a bake would.
         output: stem.as_deref().map(|stem| with_ending(stem, "gdibl")),
-        probes: arguments.probes.clone(),
-        distant: arguments.distant.clone(),
+        light: arguments.light.clone(),
         environment: arguments.environment.clone(),
     };
-    let config = Config::new(files, arguments.grid.clone(), arguments.quality.clone(), CaptureFlags::default())?;
-    set_threads(config.quality.threads)?;
+    let config = Config::new(files, &arguments.settings.given)?;
+    set_threads(&config.settings)?;
     let stem = stem.unwrap_or_else(|| config.output.with_extension("study"));
-    let settings = BakeSettings { target_error: None, ..bake_settings(&config)? };
 
     // Everything is read and refused before the first ray.
-    let mut inputs = Inputs::read(&config, TextureNeeds::All)?;
+    let inputs = read_inputs(&config, TextureNeeds::All)?;
     let given = arguments.reference.as_deref().map(|path| read_reference(path, &arguments.sets)).transpose()?;
-    let (nodes, places) = choose_nodes(&arguments, &config, &inputs, given.as_ref())?;
-    check_memory(&nodes, false, &settings, config.quality.max_memory)?;
-    inputs.warn();
-    inputs.check_light(&config, Method::Gdibl)?;
+    let (mut job, places) = prepare(&arguments, &config, inputs, given.as_ref())?;
+    session.find(&job.inputs.findings);
+    job.inputs.check_light(Method::Gdibl)?;
     super::check_output(&with_ending(&stem, "html"))?;
-    if !arguments.no_capture && inputs.lacks_probes() {
-        capture_missing(&config, &mut inputs, &cancel, *quiet)?;
+    if !arguments.no_capture && job.inputs.lacks_probes() {
+        let read = job.inputs.findings.len();
+        capture_missing(&config, &mut job.inputs, &session.cancel, *quiet)?;
+        session.find(&job.inputs.findings[read..]);
     }
-    if given.is_none() && !inputs.has_light() {
+    if given.is_none() && !job.inputs.has_light() {
         return Err(Fault::Usage(format!(
             "{}: nothing in it gives light, so path tracing knows no truth: give --reference, or --distant",
             config.level.display()
         )));
     }
 
-    let runner = Runner { config: &config, inputs: &inputs, nodes: &nodes, settings: &settings, cancel: &cancel };
+    let runner = Runner { job: &job, cancel: &session.cancel };
     let work = plan_work(&arguments, &runner, asked, given.as_ref())?;
     say(&format!("{places}; {}", work.text(&arguments)));
     let progress = Progress::new("directions", work.directions, *quiet);
@@ -163,14 +119,14 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let measured = runner.measure_all(&work.methods, &work.circumstances, &ladder, &truths)?;
     let capture = runner.capture_cost()?;
     progress.finish();
-    let study = Study::of(measured, capture, &StudySettings { target: *at, nodes: nodes.len() });
+    let study = Study::of(measured, capture, &StudySettings { target: *at, nodes: job.nodes().len() });
 
     let report = Report {
         program: concat!("gdibl ", env!("CARGO_PKG_VERSION")),
-        level: super::file_name(&config.level),
+        level: file_name(&config.level),
         places,
-        light: light_text(&inputs),
-        sh: format!("L{}", settings.bands),
+        light: light_text(&job.inputs),
+        sh: format!("L{}", job.settings.bake().bands),
         budgets: budgets.clone(),
         repeats,
         seeds: [work.seeds[0], work.seeds[work.seeds.len() - 1]],
@@ -179,35 +135,29 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         processor: processor(),
         left_out: work.left_out,
         study,
-        wall_seconds: started.elapsed().as_secs_f64(),
-        cpu_seconds: cpu_time::ProcessTime::now().as_duration().as_secs_f64(),
-        findings: inputs.findings.clone(),
+        wall_seconds: clock.wall_seconds(),
+        cpu_seconds: clock.cpu_seconds(),
     };
-    if cancel.load(Ordering::Relaxed) {
+    if session.cancel.load(Ordering::Relaxed) {
         return Err(Fault::Interrupted);
     }
-    let written = write_files(&report, &stem)?;
-    if *json {
-        return super::print_json(&report);
-    }
+    let written = write_files(&report, &job.inputs.findings, &stem)?;
     let written: Vec<String> = written.iter().map(|path| format!("  written    {}", path.display())).collect();
-    super::print_line(&format!("{}\n\n{}", words::report(&report), written.join("\n")))
+    let text = format!("{}\n\n{}", words::report(&report), written.join("\n"));
+    Ok(Outcome::new(report, text))
 }
 
 /// What makes no sense is refused before anything is read; returns the methods.
 fn check_arguments(arguments: &Arguments) -> Result<Vec<methods::Method>, Fault> {
-    let Arguments { budgets, reference_samples, quality, at, .. } = arguments;
-    for (given, flag, instead) in [
-        (quality.samples.is_some(), "--samples", "--budgets says how many directions"),
-        (
-            quality.target_error.is_some(),
-            "--target-error",
-            "--budgets says how many directions, --at the error to look at",
-        ),
-        (quality.method.is_some(), "--method", "--methods says which"),
+    let Arguments { budgets, reference_samples, settings, at, .. } = arguments;
+    for (name, instead) in [
+        ("samples", "--budgets says how many directions"),
+        ("target_error", "--budgets says how many directions, --at the error to look at"),
+        ("method", "--methods says which"),
     ] {
-        if given {
-            return Err(Fault::Usage(format!("{flag}: does not belong to study: {instead}")));
+        if settings.given.iter().any(|given| given.name == name) {
+            let flag = name.replace('_', "-");
+            return Err(Fault::Usage(format!("--{flag}: does not belong to study: {instead}")));
         }
     }
     let allowed = 1..=BakeSettings::MAX_SAMPLES;
@@ -260,7 +210,7 @@ fn plan_work(
         None => reference_samples.unwrap_or(16 * budgets[budgets.len() - 1]).min(BakeSettings::MAX_SAMPLES),
     };
     // Nobody shares random numbers with the reference.
-    let own = runner.settings.seed;
+    let own = runner.job.settings.quality.seed;
     let taken = given.map_or(Some(own), |given| given.seed);
     let seeds = (1..).map(|i| own.wrapping_add(i)).filter(|seed| Some(*seed) != taken);
     let repeats = arguments.repeats as usize;
@@ -271,7 +221,7 @@ fn plan_work(
         circumstances,
         seeds: seeds.take(repeats * budgets.len()).collect(),
         reference_samples,
-        directions: per_node.saturating_mul(runner.nodes.len() as u64),
+        directions: per_node.saturating_mul(runner.job.nodes().len() as u64),
     })
 }
 
@@ -285,7 +235,7 @@ impl Work {
 
 /// Ground truth by path tracing.
 fn make_reference(runner: &Runner, samples: u64, progress: &Progress) -> Result<(Vec<Truth>, ReferenceReport), Fault> {
-    let seed = runner.settings.seed;
+    let seed = runner.job.settings.quality.seed;
     let (truth, cost) = runner.reference(samples, seed, progress)?;
     let about = format!(
         "path tracing with {samples} directions per node, in {:.1} s ({:.1} s of CPU); its seed is none of the repeats'",
@@ -315,44 +265,48 @@ fn read_reference(path: &Path, sets: &[String]) -> Result<Given, Fault> {
     let input = read(path)?;
     let (listed, seed) = (matches!(input.light, Kind::Reference(_)), input.seed);
     let truths = input.truths(sets, path)?;
-    let name = super::file_name(path);
+    let name = file_name(path);
     let names: Vec<&str> = truths.iter().map(|truth| truth.name.as_str()).collect();
     let about = if listed { format!("{name}: {}", names.join(", ")) } else { name.clone() };
     let report = ReferenceReport { about, samples: None, seed, wall_seconds: None, cpu_seconds: None };
     Ok(Given { truths, listed, seed, name, report })
 }
 
-/// The nodes to bake, and where they are in words.
-fn choose_nodes(
+/// The job, and where its nodes are in words.
+fn prepare(
     arguments: &Arguments,
     config: &Config,
-    inputs: &Inputs,
+    mut inputs: Inputs,
     given: Option<&Given>,
-) -> Result<(Nodes, String), Fault> {
-    let GridFlags { nodes, bounds, spacing, counts, tolerance } = &arguments.grid;
-    if config.quality.sh == Some(Bands::Auto) {
+) -> Result<(Job, String), Fault> {
+    let mut settings: Settings = config.settings.clone();
+    settings.quality.target_error = None;
+    if settings.quality.sh == Bands::Auto {
         return Err(Fault::Usage("--sh auto: a study compares bakes of the same bands; say which".into()));
     }
-    if tolerance.is_some() {
+    if settings.grid.tolerance.is_some() {
         return Err(Fault::Usage("--tolerance: a study bakes every place of a grid".into()));
     }
-    let said = nodes.is_some() || bounds.is_some() || spacing.is_some() || counts.is_some();
-    if let Some(given) = given.filter(|given| given.listed && !said) {
+    let said = arguments.settings.given.iter().any(|given| given.section == "grid");
+    let listed = given.filter(|given| given.listed && !said);
+    if let Some(given) = listed {
         let positions = given.truths.iter().flat_map(|truth| &truth.positions).map(|p| DVec3::from(*p));
-        let nodes = Nodes::Points(positions.collect());
-        let text = format!("{} places of {}", nodes.len(), given.name);
-        return Ok((nodes, text));
+        inputs.places = positions.collect();
+        settings.grid.nodes = NodeKind::Points(given.name.clone().into());
+        (settings.grid.bounds, settings.grid.spacing, settings.grid.counts) = (None, None, None);
     }
-    let nodes = nodes_of(config, &inputs.scene)?;
-    let text = match &nodes {
-        Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }) => {
+    let memory = memory_of(&settings);
+    let job = Job::prepare(inputs, settings, memory)?;
+    let text = match (job.nodes(), listed) {
+        (Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }), _) => {
             let [x, y, z] = grid.counts;
             format!("grid of {x} × {y} × {z} nodes")
         }
-        Nodes::Points(positions) => format!("{} points", positions.len()),
-        Nodes::Vertices { positions, .. } => format!("{} vertices", positions.len()),
+        (Nodes::Points(positions), Some(given)) => format!("{} places of {}", positions.len(), given.name),
+        (Nodes::Points(positions), None) => format!("{} points", positions.len()),
+        (Nodes::Vertices { positions, .. }, _) => format!("{} vertices", positions.len()),
     };
-    Ok((nodes, text))
+    Ok((job, text))
 }
 
 fn light_text(inputs: &Inputs) -> String {
@@ -392,10 +346,18 @@ fn with_ending(stem: &Path, ending: &str) -> PathBuf {
     name.into()
 }
 
-fn write_files(report: &Report, stem: &Path) -> Result<Vec<PathBuf>, Fault> {
+/// What OUT.json holds.
+#[derive(Serialize)]
+struct Filed<'a> {
+    #[serde(flatten)]
+    report: &'a Report,
+    findings: &'a [Finding],
+}
+
+fn write_files(report: &Report, findings: &[Finding], stem: &Path) -> Result<Vec<PathBuf>, Fault> {
     let figure = plot::figure(&report.study);
-    let json = serde_json::to_string_pretty(report).expect("reports are plain data") + "\n";
-    let texts = [page::html(report, &figure), page::csv(&report.study), json, figure];
+    let json = serde_json::to_string_pretty(&Filed { report, findings }).expect("reports are plain data") + "\n";
+    let texts = [page::html(report, &figure, findings), page::csv(&report.study), json, figure];
     let mut written = Vec::new();
     for (ending, text) in ENDINGS.iter().zip(texts) {
         let path = with_ending(stem, ending);

@@ -4,5 +4,6 @@
 pub mod methods;
 pub mod page;
 pub mod plot;
+pub mod report;
 pub mod runner;
 pub mod words;

@@ -1,10 +1,11 @@
 //! What a study writes for people and for tables: one HTML page without anything outside of it, and a CSV.
 
+use gdibl_baker::Finding;
 use gdibl_baker::analyse::study::{CostAt, Method, PATH, Spread, Study};
 use std::fmt::Write;
 
+use super::report::Report;
 use super::words::{cost_text, floor_range, number, percent, reference_noise_text, round_percent, times_text, verdict};
-use crate::commands::study::Report;
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,'DejaVu Sans',sans-serif;color:#1b1f24;background:#fff;max-width:1180px;\
 margin:2rem auto;padding:0 1rem}h1{font-size:1.6rem;margin-bottom:.2rem}h2{font-size:1.2rem;margin-top:2rem}\
@@ -21,7 +22,7 @@ pub fn escape(text: &str) -> String {
 }
 
 /// The page.
-pub fn html(report: &Report, figure: &str) -> String {
+pub fn html(report: &Report, figure: &str, findings: &[Finding]) -> String {
     let title = format!("Error against run time: {}", escape(&report.level));
     // Inline SVG needs no namespace.
     let figure = figure.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
@@ -45,7 +46,7 @@ pub fn html(report: &Report, figure: &str) -> String {
         methods_table(&report.study),
         "<h2>Every measurement</h2>".into(),
         points_table(&report.study),
-        what_was_measured(report),
+        what_was_measured(report, findings),
         "</body></html>\n".into(),
     ]
     .join("\n")
@@ -186,7 +187,7 @@ fn range(error: Spread) -> String {
     format!("{} ({} to {})", percent(error.middle), number(100.0 * error.least), number(100.0 * error.most))
 }
 
-fn what_was_measured(report: &Report) -> String {
+fn what_was_measured(report: &Report, findings: &[Finding]) -> String {
     let Report { seeds: [first, last], .. } = report;
     let mut items = vec![
         ("Level", format!("{}; {}", report.level, report.light)),
@@ -210,7 +211,7 @@ fn what_was_measured(report: &Report) -> String {
     for left in &report.left_out {
         items.push(("Left out", format!("{}: {}", left.method, left.why)));
     }
-    for finding in &report.findings {
+    for finding in findings {
         items.push(("Found", format!("{}: {}", finding.id, finding.message)));
     }
     let items: Vec<String> =

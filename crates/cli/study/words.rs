@@ -2,7 +2,7 @@
 
 use gdibl_baker::analyse::study::{BreakEven, CostAt, Floor, GDIBL, PATH, Study};
 
-use crate::commands::study::Report;
+use super::report::Report;
 
 /// A table of every measurement, and what it comes to.
 pub fn report(report: &Report) -> String {

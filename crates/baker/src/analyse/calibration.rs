@@ -3,7 +3,7 @@
 use gdibl_runtime::sh;
 
 use crate::bake::{Baked, INTERVAL_95};
-use crate::records::ErrorSummary;
+use crate::job::records::ErrorSummary;
 
 /// How bakes lie around what they converge to.
 #[derive(Debug, Clone, Copy, PartialEq)]

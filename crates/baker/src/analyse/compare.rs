@@ -354,7 +354,7 @@ mod tests {
     use super::*;
     use crate::analyse::{choose_sets, radiance_sh};
     use crate::bake::{Baked, Nodes, Standing, grid_of_counts};
-    use crate::volume::volume_of as volume;
+    use crate::pack::volume_of as volume;
     use glam::{DVec3, Vec3};
 
     /// L0 and L1, linear in the position: a grid reproduces it between its nodes.

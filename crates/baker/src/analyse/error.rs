@@ -14,7 +14,7 @@
 use gdibl_runtime::{RadianceSh, sh};
 use serde::Serialize;
 
-use crate::records::ErrorSummary;
+use crate::job::records::ErrorSummary;
 use crate::sampling::fibonacci_sphere;
 
 /// Normals in which E is compared.

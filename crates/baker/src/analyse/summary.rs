@@ -3,7 +3,7 @@
 use gdibl_runtime::Volume;
 use serde::Serialize;
 
-use crate::records::ErrorSummary;
+use crate::job::records::ErrorSummary;
 use crate::sampling::fibonacci_sphere;
 
 /// Directions in which a node is searched for negative irradiance.

@@ -19,7 +19,7 @@ use part::{Light, node_at};
 pub use tiles::{Tile, tiles, whole};
 
 use crate::bake::{self, irradiance_of, root_mean_square};
-use crate::records::ErrorSummary;
+use crate::job::records::ErrorSummary;
 use crate::sampling::{Sampler, Stream};
 
 /// The volume with cells 2^steps times as wide, or a little less where that does not divide its box. `None` if it is no grid, or has

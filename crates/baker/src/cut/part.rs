@@ -4,7 +4,7 @@ use gdibl_runtime::bricks::Bricks;
 use gdibl_runtime::{Grid, RadianceSh, Volume, sh};
 
 use crate::bake::{Baked, Nodes, SparseGrid, Standing};
-use crate::records::{ErrorSummary, Records, WallsRecord};
+use crate::job::records::{ErrorSummary, Records, WallsRecord};
 
 /// Nodes with their light, ready to be packed.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,7 +90,7 @@ impl Part {
     /// The records of the volume that this was cut from, with its own figures in place of those that are others now.
     pub fn records(&self, mut records: Records) -> Records {
         let Baked { walls, relative_error, .. } = &self.baked;
-        let statistics = &mut records.statistics;
+        let Some(statistics) = &mut records.statistics else { return records };
         let valid = || self.baked.valid_nodes();
         statistics.nodes = self.nodes.len() as u64;
         statistics.nodes_valid = valid().count() as u64;

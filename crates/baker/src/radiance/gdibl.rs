@@ -37,6 +37,32 @@ impl Default for SceneHit {
     }
 }
 
+impl std::fmt::Display for SceneHit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            SceneHit::Recurse(depth) => write!(f, "recurse:{depth}"),
+            SceneHit::Occlude => f.write_str("occlude"),
+        }
+    }
+}
+
+impl std::str::FromStr for SceneHit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "occlude" => Ok(SceneHit::Occlude),
+            None if text == "recurse" => Ok(SceneHit::default()),
+            // Deeper than this, what is left of the light is under a millionth even at albedo 0.8.
+            Some(("recurse", depth)) => match depth.parse() {
+                Ok(depth @ 0..=64) => Ok(SceneHit::Recurse(depth)),
+                _ => Err("the depth of recurse:DEPTH must be 0 to 64".into()),
+            },
+            _ => Err("expected recurse:DEPTH or occlude".into()),
+        }
+    }
+}
+
 /// How the radiance function works.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GdiblSettings {

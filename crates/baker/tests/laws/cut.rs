@@ -3,7 +3,7 @@
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Nodes, SparseGrid, bake_sparse};
 use gdibl_baker::cut::{Part, Tile, coarser, difference, tiles, whole};
-use gdibl_baker::volume::volume_of;
+use gdibl_baker::pack::volume_of;
 use gdibl_runtime::{Grid, Volume};
 use std::sync::atomic::AtomicBool;
 

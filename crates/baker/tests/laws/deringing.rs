@@ -1,16 +1,16 @@
 //! De-ringing of whole volumes: lights of known coefficients, baked, packed and read again.
 
 use gdibl_baker::bake::{BakeSettings, Nodes};
+use gdibl_baker::pack::{PackSettings, Precision, pack};
 use gdibl_baker::radiance::path::{Path, PathSettings};
 use gdibl_baker::sampling::{Sampler, Stream, fibonacci_sphere, uniform_sphere};
 use gdibl_baker::scene::{PunctualKind, PunctualLight, Role, Scene};
-use gdibl_baker::volume::{PackSettings, Precision, pack};
 use gdibl_runtime::{IrradianceSh, Volume, sh};
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 
 use crate::level::*;
-use gdibl_baker::records::Records;
+use gdibl_baker::job::records::Records;
 
 fn sun(toward: Vec3, irradiance: f32) -> PunctualLight {
     PunctualLight {

@@ -3,14 +3,14 @@
 use gdibl_baker::Control;
 use gdibl_baker::analyse::radiance_sh;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
+use gdibl_baker::job::records::Records;
+use gdibl_baker::pack::{PackSettings, Precision, pack};
 use gdibl_baker::panorama::Panorama;
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::radiance::{Distant, PathContext, RadianceFunction};
-use gdibl_baker::records::Records;
 use gdibl_baker::sampling::{Sampler, Stream, fibonacci_sphere};
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
-use gdibl_baker::volume::{PackSettings, Precision, pack};
 use gdibl_runtime::{RadianceSh, Volume};
 use glam::{DQuat, DVec3, Quat, Vec3};
 use std::f64::consts::PI;

@@ -1,8 +1,8 @@
 //! Packed volumes: the error that was asked for is kept, whatever the light.
 
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes};
-use gdibl_baker::records::{PackingRecord, Records};
-use gdibl_baker::volume::{PackSettings, Packed, Precision, pack};
+use gdibl_baker::job::records::{PackingRecord, Records};
+use gdibl_baker::pack::{PackSettings, Packed, Precision, pack};
 use gdibl_runtime::{RadianceSh, Volume};
 
 use crate::level::*;

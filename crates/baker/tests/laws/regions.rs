@@ -1,7 +1,7 @@
 //! Small lamps that are in the pixels of probes and nowhere else: found by construction, and no light is made up.
 
 use gdibl_baker::bake::{BakeSettings, Baked};
-use gdibl_baker::plan::plan;
+use gdibl_baker::job::plan::plan;
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, Probe};
 use gdibl_baker::sampling::fibonacci_sphere;

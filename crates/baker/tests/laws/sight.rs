@@ -1,7 +1,7 @@
 //! Lines of sight that are left out, because nothing can stand between, against those that are traced.
 
 use gdibl_baker::bake::{BakeSettings, Baked};
-use gdibl_baker::plan::{PlanRow, plan};
+use gdibl_baker::job::plan::{PlanRow, plan};
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::scene::{Role, Scene};
 use glam::DVec3;

@@ -2,11 +2,11 @@
 
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake, bake_sparse, grid_of_cells, grid_of_counts};
+use gdibl_baker::job::records::SparseRecord;
+use gdibl_baker::pack::volume_of;
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::path::{Path, PathSettings};
-use gdibl_baker::records::SparseRecord;
 use gdibl_baker::scene::{Role, Scene};
-use gdibl_baker::volume::volume_of;
 use gdibl_runtime::{Grid, Volume};
 use glam::DVec3;
 use std::sync::atomic::AtomicBool;

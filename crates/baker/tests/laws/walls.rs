@@ -2,11 +2,11 @@
 
 use gdibl_baker::Control;
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, Standing, bake};
+use gdibl_baker::pack::volume_of;
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::{Path, PathSettings};
 use gdibl_baker::scene::{Role, Scene};
-use gdibl_baker::volume::volume_of;
 use gdibl_runtime::{Grid, Volume};
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;

@@ -1,8 +1,8 @@
 use super::*;
 use crate::analyse::{CompareSettings, Truth, TruthLight, TruthNoise, compare, radiance_sh};
 use crate::bake::{Baked, Nodes, Standing};
+use crate::pack::volume_of;
 use crate::sampling::{Sampler, Stream};
-use crate::volume::volume_of;
 use gdibl_runtime::RadianceSh;
 use glam::DVec3;
 

@@ -28,10 +28,10 @@ use super::irradiance::{Irradiance, difference, irradiance_of, root_mean_square}
 use super::sample::Batch;
 use super::standing::{Sites, Standing};
 use super::{BakeSettings, Baked, Nodes, SparseGrid, bake, finish};
+use crate::job::records::{ErrorSummary, SparseLevel, SparseRecord};
+use crate::pack::volume_of;
 use crate::radiance::RadianceFunction;
-use crate::records::{ErrorSummary, SparseLevel, SparseRecord};
 use crate::trace::Level;
-use crate::volume::volume_of;
 use crate::{Control, Interrupted};
 
 /// A difference counts as noise up to the square root of this many times its standard error.

@@ -32,7 +32,7 @@ mod primitive;
 mod texture;
 mod uri;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
 
@@ -88,22 +88,16 @@ pub fn read_level(path: &Path, options: &GltfOptions) -> Result<Scene> {
     parse_level(&bytes, path, options)
 }
 
-/// The bytes of the level at `path` and of every file beside it that it names, in its order: what its light depends on, for
-/// recognising it again. A file that is missing counts as empty: it may not be needed.
-pub fn read_files(path: &Path) -> Result<Vec<Vec<u8>>> {
+/// The files beside the level at `path` that it names and that are there, in its order: with the level itself, all that its light
+/// depends on.
+pub fn files_of(path: &Path) -> Result<Vec<PathBuf>> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let mut findings = Findings::default();
-    let mut files = Vec::new();
-    {
-        let document = Document::read(&container::split(&bytes, path, &mut findings)?, path, &mut findings)?;
-        let buffers = document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
-        let images = document.images.iter().filter_map(|image| image.uri.as_deref());
-        for uri in buffers.chain(images).filter(|uri| !uri::is_data(uri)) {
-            files.push(uri::load(uri, path, "a file").unwrap_or_default());
-        }
-    }
-    files.insert(0, bytes);
-    Ok(files)
+    let document = Document::read(&container::split(&bytes, path, &mut findings)?, path, &mut findings)?;
+    let buffers = document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
+    let images = document.images.iter().filter_map(|image| image.uri.as_deref());
+    let files = buffers.chain(images).filter_map(|uri| uri::file(uri, path));
+    Ok(files.filter(|file| file.is_file()).collect())
 }
 
 /// Reads a level from its bytes. `path` names it in messages, and its folder is where files are looked for.

@@ -21,6 +21,12 @@ pub(super) fn is_data(uri: &str) -> bool {
     uri.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:"))
 }
 
+/// The file that `uri` names; `None` where it holds its bytes itself, or leaves the level's folder.
+pub(super) fn file(uri: &str, level: &Path) -> Option<PathBuf> {
+    let relative = relative_path(uri).ok().filter(|_| !is_data(uri))?;
+    Some(level.parent().unwrap_or(Path::new("")).join(relative))
+}
+
 /// Reads what `uri` names. `level` is the level's path; `place` says who asks ("buffer 0").
 pub(super) fn load(uri: &str, level: &Path, place: &str) -> Result<Vec<u8>> {
     if is_data(uri) {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ::image::{DynamicImage, ImageFormat, RgbImage};
 
-use crate::volume::write_whole;
+use crate::pack::write_whole;
 use crate::{Error, Result};
 
 /// Writes `pixels`, row by row from the top, to `path`: the whole file or none.

@@ -1,36 +1,116 @@
 //! The small records of a file: settings, plan, probes, statistics. What was asked for and what came of it, for
 //! `inspect`; the runtime skips them. Encoded by bincode's legacy fixed-int rules, restated in FORMAT.md in bytes.
-//! Nothing here may depend on the clock or the machine: same inputs and settings, same bytes.
+//! Nothing here may depend on the clock or the machine unless that was asked for: same inputs and settings, same bytes.
+//!
+//! Records grow at their end. A reader ignores bytes behind the fields that it knows, and takes later fields that are
+//! missing as absent: so older and newer programs read each other's files.
 
+use bincode::error::DecodeError;
 use bincode::{Decode, Encode};
 use serde::Serialize;
 
 use crate::bake::Walls;
 use crate::panorama::Sun;
-pub use crate::plan::PlanRow;
 use crate::{Error, Finding, Result};
 
-/// What was asked for.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Encode, Decode)]
-pub struct SettingsRecord {
-    /// `gdibl` and its version.
-    pub writer: String,
+/// A record that can grow: a struct whose fields behind `later` came in later versions.
+macro_rules! record {
+    (
+        $(#[$about:meta])* $name:ident {
+            $( $(#[$field_about:meta])* $field:ident: $kind:ty, )*
+        }
+        later {
+            $( $(#[$later_about:meta])* $later:ident: $later_kind:ty, )*
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Debug, Clone, Default, PartialEq, Serialize, Encode)]
+        pub struct $name {
+            $( $(#[$field_about])* pub $field: $kind, )*
+            $( $(#[$later_about])* pub $later: $later_kind, )*
+        }
+
+        impl Record for $name {
+            fn read(fields: &mut Fields) -> std::result::Result<Self, DecodeError> {
+                Ok($name {
+                    $( $field: fields.next()?, )*
+                    $( $later: fields.later()?, )*
+                })
+            }
+        }
+    };
+}
+
+record! {
+/// How a volume was made.
+SettingsRecord {
+    /// The program that wrote it, and its version.
+    writer: String,
     /// File name of the level, without folder.
-    pub level: String,
-    /// The radiance function: `gdibl` or `path`.
-    pub method: String,
+    level: String,
+    /// The radiance function in force: `gdibl` or `path`.
+    method: String,
     /// Blend rule with its power, as on the command line.
-    pub blend: String,
+    blend: String,
     /// What rays do at scene geometry, as on the command line.
-    pub scene: String,
+    scene: String,
     /// `sobol` or `random`.
-    pub sampler: String,
+    sampler: String,
     /// Directions per node, or the most of them.
-    pub samples: u64,
+    samples: u64,
     /// Relative error at which a node stops.
-    pub target_error: Option<f64>,
+    target_error: Option<f64>,
     /// Seed of all random numbers.
-    pub seed: u64,
+    seed: u64,
+}
+later {
+    /// Of the program's source; empty where it is not known.
+    commit: String,
+    /// Every setting in force, by its name in BAKE.toml: `quality.samples`.
+    settings: Vec<SettingRecord>,
+    /// What was read.
+    inputs: Vec<InputRecord>,
+}
+}
+
+/// One setting.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Encode, Decode)]
+pub struct SettingRecord {
+    /// Its table and name in BAKE.toml: `quality.samples`.
+    pub name: String,
+    /// Its text form, as on the command line; `None`: not set.
+    pub value: Option<String>,
+}
+
+/// One file that was read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Encode, Decode)]
+pub struct InputRecord {
+    /// `level`, `environment`, `distant`, `probe` or `points`. Files that a level refers to have its role.
+    pub role: String,
+    /// File name, without folder.
+    pub name: String,
+    /// Size.
+    pub bytes: u64,
+    /// BLAKE3 hash of its bytes.
+    pub blake3: [u8; 32],
+}
+
+/// One stage of the bake.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Encode, Decode)]
+pub struct PlanRow {
+    /// Stable name of the stage.
+    pub stage: String,
+    /// Done, or left out.
+    pub kept: bool,
+    /// One sentence.
+    pub why: String,
+}
+
+impl PlanRow {
+    /// A row; `why` is one sentence.
+    pub fn new(stage: &str, kept: bool, why: impl Into<String>) -> PlanRow {
+        PlanRow { stage: stage.into(), kept, why: why.into() }
+    }
 }
 
 /// One probe, or the distant panorama.
@@ -50,37 +130,62 @@ pub struct ProbeRecord {
     pub distance: bool,
 }
 
+record! {
 /// What came of it.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Encode, Decode)]
-pub struct StatisticsRecord {
+StatisticsRecord {
     /// Nodes in the volume.
-    pub nodes: u64,
+    nodes: u64,
     /// Nodes with light of their own.
-    pub nodes_valid: u64,
+    nodes_valid: u64,
     /// Rays traced, lines of sight included.
-    pub rays: u64,
+    rays: u64,
     /// Directions that left nodes.
-    pub samples: u64,
+    samples: u64,
     /// Relative standard error of E over valid nodes; `None` where it was not measured (one sample).
-    pub relative_error: Option<ErrorSummary>,
+    relative_error: Option<ErrorSummary>,
     /// The same in the worst direction and channel of each node.
-    pub worst_direction_error: Option<ErrorSummary>,
+    worst_direction_error: Option<ErrorSummary>,
     /// Mean share of the sphere that was covered, over the nodes in the open.
-    pub coverage: f64,
+    coverage: f64,
     /// Why nodes have no light of their own, or take it elsewhere.
-    pub standing: StandingRecord,
+    standing: StandingRecord,
     /// What keeps light on its side of walls; `None` where no wall stands between nodes of a grid.
-    pub walls: Option<WallsRecord>,
+    walls: Option<WallsRecord>,
     /// How sparse the grid is and how good; `None` where no tolerance was given, or the grid has no coarser cells.
-    pub sparse: Option<SparseRecord>,
+    sparse: Option<SparseRecord>,
     /// What de-ringing did; `None` where it was not asked for, or no node rings.
-    pub deringing: Option<DeringingRecord>,
+    deringing: Option<DeringingRecord>,
     /// What packed coefficients add to the error; `None` in files of floats.
-    pub packing: Option<PackingRecord>,
+    packing: Option<PackingRecord>,
     /// The sun whose direct light was left out; `None` where that was not asked for, or no sun found.
-    pub sun: Option<SunRecord>,
+    sun: Option<SunRecord>,
     /// What the inputs had that deserves a look.
-    pub findings: Vec<Finding>,
+    findings: Vec<Finding>,
+}
+later {
+    /// What was done, in order, and what it took.
+    stages: Vec<StageRecord>,
+}
+}
+
+/// One stage of a bake.
+#[derive(Debug, Clone, PartialEq, Serialize, Encode, Decode)]
+pub struct StageRecord {
+    /// Stable name: `read`, `prepare`, `nodes` ...
+    pub stage: String,
+    /// Rays traced in it.
+    pub rays: u64,
+    /// `None` in files, unless times were asked for: the same inputs give the same bytes.
+    pub seconds: Option<StageSeconds>,
+}
+
+/// What a stage took.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct StageSeconds {
+    /// On the clock.
+    pub wall: f64,
+    /// Of all processors together.
+    pub cpu: f64,
 }
 
 /// Where nodes stand.
@@ -155,7 +260,7 @@ impl From<Sun> for SunRecord {
     }
 }
 
-/// What de-ringing did, see [`crate::deringing`].
+/// What de-ringing did, see [`crate::pack::deringing`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
 pub struct DeringingRecord {
     /// Nodes that rang.
@@ -196,24 +301,59 @@ impl ErrorSummary {
     }
 }
 
-/// Everything beside the light itself.
+/// Everything beside the light itself. What is not known is not there.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Records {
-    /// What was asked for.
-    pub settings: SettingsRecord,
+    /// How the volume was made.
+    pub settings: Option<SettingsRecord>,
     /// Stages kept and left out.
     pub plan: Vec<PlanRow>,
     /// Probes, then the distant panorama if there is one.
     pub probes: Vec<ProbeRecord>,
-    /// What came of it.
-    pub statistics: StatisticsRecord,
+    /// What came of it. Of a volume that was packed without, what the volume itself tells.
+    pub statistics: Option<StatisticsRecord>,
 }
 
 /// What [`decode`] can read.
-pub trait Record: Decode<()> {}
-impl<T: Decode<()>> Record for T {}
+pub trait Record: Sized {
+    /// Reads the fields one after another.
+    ///
+    /// # Errors
+    /// One of the fields of the first version is missing, or a field contradicts the encoding.
+    fn read(fields: &mut Fields) -> std::result::Result<Self, DecodeError>;
+}
 
-/// A record may not be larger than this: a damaged length must not take the memory.
+impl Record for Vec<PlanRow> {
+    fn read(fields: &mut Fields) -> std::result::Result<Self, DecodeError> {
+        fields.next()
+    }
+}
+
+impl Record for Vec<ProbeRecord> {
+    fn read(fields: &mut Fields) -> std::result::Result<Self, DecodeError> {
+        fields.next()
+    }
+}
+
+/// The fields of a record that are still to be read.
+pub struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    /// A field that has always been there.
+    fn next<T: Decode<()>>(&mut self) -> std::result::Result<T, DecodeError> {
+        let configuration = bincode::config::legacy().with_limit::<LIMIT>();
+        let (field, used) = bincode::decode_from_slice(self.0, configuration)?;
+        self.0 = &self.0[used..];
+        Ok(field)
+    }
+
+    /// A field of a later version: absent where the record ends before it.
+    fn later<T: Decode<()> + Default>(&mut self) -> std::result::Result<T, DecodeError> {
+        if self.0.is_empty() { Ok(T::default()) } else { self.next() }
+    }
+}
+
+/// A field may not be larger than this: a damaged length must not take the memory.
 const LIMIT: usize = 16 << 20;
 
 /// Bytes of one record.
@@ -221,16 +361,12 @@ pub fn encode<T: Encode>(record: &T) -> Vec<u8> {
     bincode::encode_to_vec(record, bincode::config::legacy()).expect("records encode into memory")
 }
 
-/// One record from its bytes, all of which must be used.
+/// One record from its bytes. Bytes behind the fields that are known are ignored.
+///
+/// # Errors
+/// The record ends within a field, or before one that has always been there.
 pub fn decode<T: Record>(bytes: &[u8], path: &std::path::Path, section: &str) -> Result<T> {
-    let configuration = bincode::config::legacy().with_limit::<LIMIT>();
-    match bincode::decode_from_slice(bytes, configuration) {
-        Ok((record, used)) if used == bytes.len() => Ok(record),
-        Ok((_, used)) => {
-            Err(Error::invalid(path, format!("section {section}: {} bytes after the record", bytes.len() - used)))
-        }
-        Err(error) => Err(Error::invalid(path, format!("section {section}: {error}"))),
-    }
+    T::read(&mut Fields(bytes)).map_err(|error| Error::invalid(path, format!("section {section}: {error}")))
 }
 
 #[cfg(test)]
@@ -244,15 +380,51 @@ mod tests {
         let expected = [&1u64.to_le_bytes()[..], &2u64.to_le_bytes(), b"ab", &[1], &1u64.to_le_bytes(), b"c"].concat();
         assert_eq!(encode(&vec![row.clone()]), expected);
         let path = std::path::Path::new("x");
-        assert_eq!(decode::<Vec<PlanRow>>(&expected, path, "PLAN").unwrap(), vec![row]);
+        assert_eq!(decode::<Vec<PlanRow>>(&expected, path, "PLAN").unwrap(), [row.clone()]);
         for cut in 0..expected.len() {
             assert!(decode::<Vec<PlanRow>>(&expected[..cut], path, "PLAN").is_err());
         }
+        // A later version has more behind it.
+        let grown = [&expected[..], &[0; 9]].concat();
+        assert_eq!(decode::<Vec<PlanRow>>(&grown, path, "PLAN").unwrap(), vec![row]);
         // An option is a byte, 0 or 1, then the value.
         assert_eq!(encode(&Some(1.5f64)), [&[1][..], &1.5f64.to_le_bytes()].concat());
         assert_eq!(encode(&None::<f64>), [0]);
         // A length that would fill the memory is refused.
         assert!(decode::<Vec<PlanRow>>(&u64::MAX.to_le_bytes(), path, "PLAN").is_err());
+    }
+
+    #[test]
+    fn records_of_older_and_newer_programs_read() {
+        let record = SettingsRecord {
+            writer: "gdibl 0.1.0".into(),
+            target_error: Some(0.01),
+            settings: vec![SettingRecord { name: "grid.spacing".into(), value: None }],
+            inputs: vec![InputRecord { role: "level".into(), name: "a.glb".into(), bytes: 7, blake3: [3; 32] }],
+            ..SettingsRecord::default()
+        };
+        let bytes = encode(&record);
+        let path = std::path::Path::new("x");
+        let read = |bytes: &[u8]| decode::<SettingsRecord>(bytes, path, "SETT");
+        assert_eq!(read(&bytes).unwrap(), record);
+        assert_eq!(read(&[&bytes[..], &[1; 9]].concat()).unwrap(), record, "one more field");
+        // Where each of the later fields begins. A cut at any other place is damage.
+        let ends = [0, encode(&record.commit).len(), encode(&record.settings).len(), encode(&record.inputs).len()];
+        let first = bytes.len() - ends.iter().sum::<usize>();
+        let borders: Vec<usize> = ends
+            .iter()
+            .scan(first, |sum, end| {
+                Some({
+                    *sum += end;
+                    *sum
+                })
+            })
+            .collect();
+        for cut in 0..bytes.len() {
+            assert_eq!(read(&bytes[..cut]).is_ok(), borders.contains(&cut), "{cut} of {borders:?}");
+        }
+        let older = SettingsRecord { settings: Vec::new(), inputs: Vec::new(), ..record };
+        assert_eq!(read(&bytes[..borders[0]]).unwrap(), older);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! Packs a baked volume into the bytes of a `.gdibl` file (FORMAT.md, version 1).
 
+pub mod deringing;
+
 use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, SectionEntry, Units};
 use gdibl_runtime::walls::walls_to_bytes;
 use gdibl_runtime::{RadianceSh, Volume, packed};
@@ -7,10 +9,9 @@ use half::f16;
 use rayon::prelude::*;
 use std::io::{BufWriter, Write};
 
+use self::deringing::{Rounding, Search};
 use crate::bake::{Baked, Nodes, SparseGrid};
-use crate::deringing::{self, Rounding, Search};
-use crate::plan::PlanRow;
-use crate::records::{self, DeringingRecord, ErrorSummary, PackingRecord, Records};
+use crate::job::records::{self, DeringingRecord, ErrorSummary, PackingRecord, PlanRow, Records, StatisticsRecord};
 pub use crate::whole::write_whole;
 
 /// Numbers of the coefficients.
@@ -35,6 +36,34 @@ impl Precision {
     pub const PACKED: Precision = Precision::Packed { error: 0.005 };
 }
 
+impl std::fmt::Display for Precision {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Precision::F16 => f.write_str("f16"),
+            Precision::F32 => f.write_str("f32"),
+            packed if *packed == Precision::PACKED => f.write_str("packed"),
+            Precision::Packed { error } => write!(f, "packed:{error}"),
+        }
+    }
+}
+
+impl std::str::FromStr for Precision {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "f16" => Ok(Precision::F16),
+            "f32" => Ok(Precision::F32),
+            "packed" => Ok(Precision::PACKED),
+            _ => match text.strip_prefix("packed:").map(str::parse) {
+                Some(Ok(error)) if Precision::PACKED_ERRORS.contains(&error) => Ok(Precision::Packed { error }),
+                Some(_) => Err("the error of packed:ERROR must be 0.002 to 0.1".into()),
+                None => Err("expected f16, f32, packed or packed:ERROR".into()),
+            },
+        }
+    }
+}
+
 /// How to pack.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PackSettings {
@@ -43,7 +72,7 @@ pub struct PackSettings {
     /// Compress sections with zstd where that makes them smaller. Packed coefficients are made for that: without it they take
     /// as much as half floats.
     pub zstd: bool,
-    /// Leave no node with negative irradiance: see [`crate::deringing`].
+    /// Leave no node with negative irradiance: see [`deringing`].
     pub dering: bool,
 }
 
@@ -92,6 +121,7 @@ pub fn pack(nodes: &Nodes, baked: &Baked, records: Records, settings: PackSettin
 
 /// The same, up to where nothing that was baked is needed any more.
 pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: PackSettings) -> Sections {
+    let mut statistics = records.statistics.take().unwrap_or_else(|| StatisticsRecord::of(baked));
     // De-ringing and standard errors know packed coefficients as floats.
     let numbers = match settings.precision {
         Precision::F32 | Precision::Packed { .. } => Numbers { encoding: Encoding::F32, scale: 1.0 },
@@ -100,13 +130,13 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
     let mut windows = Vec::new();
     if settings.dering {
         windows = deringing_windows(baked, numbers);
-        records.statistics.deringing = deringing_record(baked, &windows);
-        records.plan.push(match &records.statistics.deringing {
+        statistics.deringing = deringing_record(baked, &windows);
+        records.plan.push(match &statistics.deringing {
             None => PlanRow::new("deringing", false, "no node rings"),
             Some(DeringingRecord { nodes: n, .. }) => PlanRow::new("deringing", true, format!("{n} nodes ring")),
         });
     }
-    let units = match records.statistics.deringing {
+    let units = match statistics.deringing {
         None => Units::Radiance,
         Some(_) => Units::RadianceDeringed,
     };
@@ -126,7 +156,7 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
         Precision::Packed { error } => {
             let packed = pack_coefficients(baked, &windows, error);
             (header.encoding, header.scale) = (Encoding::Packed, packed.step);
-            records.statistics.packing = packed.record;
+            statistics.packing = packed.record;
             packed.bytes
         }
         _ => planes(&baked.sh, &windows, baked.len(), numbers),
@@ -162,10 +192,17 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
         sections.push((format::WORST_ERROR, halves(&baked.worst_error)));
         sections.push((format::COEFFICIENT_ERRORS, planes(&baked.coefficient_error, &[], baked.len(), numbers)));
     }
-    sections.push((format::SETTINGS, records::encode(&records.settings)));
-    sections.push((format::PLAN, records::encode(&records.plan)));
-    sections.push((format::PROBES, records::encode(&records.probes)));
-    sections.push((format::STATISTICS, records::encode(&records.statistics)));
+    if let Some(settings) = &records.settings {
+        sections.push((format::SETTINGS, records::encode(settings)));
+    }
+    if !records.plan.is_empty() {
+        sections.push((format::PLAN, records::encode(&records.plan)));
+    }
+    if !records.probes.is_empty() {
+        sections.push((format::PROBES, records::encode(&records.probes)));
+    }
+    sections.push((format::STATISTICS, records::encode(&statistics)));
+    records.statistics = Some(statistics);
 
     Sections { header, sections, records, zstd: settings.zstd }
 }

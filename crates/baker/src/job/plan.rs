@@ -2,31 +2,50 @@
 
 use gdibl_runtime::sh::MAX_BANDS;
 
+use super::Inputs;
+use super::bands::Truncation;
+use super::records::{PlanRow, SparseRecord};
+use super::text::Method;
 use crate::bake::{Baked, Nodes, Walls, levels_of};
-use crate::bands::Truncation;
 use crate::exposure::ExposureMatch;
 use crate::radiance::RadianceFunction;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
-use crate::records::SparseRecord;
 use crate::scene::{Alpha, Role, Scene};
 
-/// One stage of the bake.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize, bincode::Encode, bincode::Decode)]
-pub struct PlanRow {
-    /// Stable name of the stage.
-    pub stage: String,
-    /// Done, or left out.
-    pub kept: bool,
-    /// One sentence.
-    pub why: String,
+/// Which method is in force, and who chose it.
+pub fn method(asked: Method, chosen: Method, inputs: &Inputs) -> PlanRow {
+    let name = if chosen == Method::Path { "path tracing" } else { "gdibl" };
+    let why = match (asked, inputs.probes.len()) {
+        (Method::Auto, 0) => "no probe is given".to_owned(),
+        (Method::Auto, 1) => "one probe is given".to_owned(),
+        (Method::Auto, n) => format!("{n} probes are given"),
+        _ => "asked for".to_owned(),
+    };
+    PlanRow::new("method", true, format!("{name}: {why}"))
 }
 
-impl PlanRow {
-    /// A row; `why` is one sentence.
-    pub fn new(stage: &str, kept: bool, why: impl Into<String>) -> PlanRow {
-        PlanRow { stage: stage.into(), kept, why: why.into() }
+/// Whether probes are captured from the level.
+pub fn capture(inputs: &Inputs, method: Method) -> PlanRow {
+    let row = |kept, why: String| PlanRow::new("capture", kept, why);
+    match inputs.probes.len() {
+        _ if method == Method::Path => row(false, "path tracing needs no probe".into()),
+        n if inputs.captured => row(true, format!("no probe is given: {n} captured from the level")),
+        0 if inputs.lacks_probes() => row(true, "no probe is given: they are captured from the level".into()),
+        0 => row(false, "no environment geometry that a probe could see".into()),
+        _ => row(false, "probes are given".into()),
     }
+}
+
+/// Stages that the probes decide about.
+const BY_PROBES: [&str; 4] = ["lines-of-sight", "blending", "surface-light", "bright-regions"];
+
+/// The plan of a job whose probes are still to be captured: what they decide about is not decided yet.
+pub fn before_capture(mut rows: Vec<PlanRow>) -> Vec<PlanRow> {
+    for row in rows.iter_mut().filter(|row| BY_PROBES.contains(&row.stage.as_str())) {
+        *row = PlanRow::new(&row.stage, true, "decided once the probes are captured");
+    }
+    rows
 }
 
 /// The plan of a GDIBL bake.

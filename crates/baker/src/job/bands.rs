@@ -6,8 +6,8 @@
 use gdibl_runtime::sh;
 use serde::Serialize;
 
+use super::records::ErrorSummary;
 use crate::bake::Baked;
-use crate::records::ErrorSummary;
 
 /// What fewer bands lose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

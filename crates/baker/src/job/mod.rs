@@ -1,0 +1,510 @@
+//! The one place where a bake is put together: inputs and [`Settings`] in; nodes with their light, the plan and all
+//! records out, ready to be packed.
+//!
+//! A job is prepared first: everything that makes no sense is refused before the first ray. Its plan can be asked for, and
+//! comes from the stages that decide. Then it runs.
+
+pub mod bands;
+mod nodes;
+pub mod plan;
+pub mod records;
+mod settings;
+mod statistics;
+mod text;
+
+use glam::DVec3;
+use std::sync::atomic::AtomicBool;
+
+use crate::bake::{self, Baked, Nodes};
+use crate::exposure::{ExposureMatch, match_exposure};
+use crate::pack::{Sections, sections};
+use crate::radiance::gdibl::{Gdibl, Probe};
+use crate::radiance::path::Path;
+use crate::radiance::{Distant, RadianceFunction};
+use crate::scene::{Mesh, Role, Scene};
+use crate::{Control, Finding, Interrupted};
+use bands::Truncation;
+use records::{InputRecord, PlanRow, Records, SettingRecord, SettingsRecord, StageRecord, StatisticsRecord, SunRecord};
+pub use settings::{CapturePlan, GridSettings, OutOfRange, QualitySettings, ROWS, Row, Settings};
+pub use statistics::check_valid;
+use statistics::{findings_of, probe_records};
+pub use text::{Bands, Method, NodeKind, Punctual, SunLight, Text};
+
+/// What `--sh auto` allows fewer bands to lose where no tolerance is given.
+const BANDS_TOLERANCE: f64 = 0.1;
+/// What a sparse grid is taken to have of its places, before anything is known of it. Rooms have less.
+const SPARSE_SHARE: u64 = 2;
+
+/// What a bake is made from, as values.
+#[derive(Debug, Clone)]
+pub struct Inputs {
+    /// The level.
+    pub scene: Scene,
+    /// Its name in messages and records.
+    pub level: String,
+    /// Light probes.
+    pub probes: Vec<Probe>,
+    /// The panorama at infinity.
+    pub distant: Option<Distant>,
+    /// Nodes of [`NodeKind::Points`], world metres.
+    pub places: Vec<DVec3>,
+    /// The probes were captured from the level for want of others, and show reflected light alone.
+    pub captured: bool,
+    /// What reading found.
+    pub findings: Vec<Finding>,
+    /// The files that all this was read from, for the record.
+    pub files: Vec<InputRecord>,
+    /// Who bakes: a program with its version, and the commit of its source.
+    pub program: [String; 2],
+}
+
+impl Inputs {
+    /// A level without probes and sky.
+    pub fn new(scene: Scene) -> Inputs {
+        Inputs {
+            scene,
+            level: String::new(),
+            probes: Vec::new(),
+            distant: None,
+            places: Vec::new(),
+            captured: false,
+            findings: Vec::new(),
+            files: Vec::new(),
+            program: [concat!("gdibl-baker ", env!("CARGO_PKG_VERSION")).into(), String::new()],
+        }
+    }
+
+    /// No probe was given, and there is something that one could see.
+    pub fn lacks_probes(&self) -> bool {
+        self.probes.is_empty() && self.scene.triangle_count(Role::Environment) > 0
+    }
+
+    /// Something gives light that a path can find.
+    pub fn has_light(&self) -> bool {
+        let glows = |mesh: &Mesh| self.scene.materials[mesh.material as usize].emission != glam::Vec3::ZERO;
+        self.distant.is_some() || !self.scene.lights.is_empty() || self.scene.meshes.iter().any(glows)
+    }
+
+    /// The method in force: never [`Method::Auto`].
+    pub fn method(&self, settings: &Settings) -> Method {
+        match settings.quality.method {
+            Method::Auto if self.probes.is_empty() => Method::Path,
+            Method::Auto => Method::Gdibl,
+            asked => asked,
+        }
+    }
+
+    /// Work without any light is refused.
+    ///
+    /// # Errors
+    /// [`Stop::Nothing`]: what could give light.
+    pub fn check_light(&self, method: Method) -> Result<(), Stop> {
+        let by_probes = method == Method::Gdibl && !self.probes.is_empty();
+        if by_probes || self.has_light() {
+            return Ok(());
+        }
+        Err(Stop::Nothing(format!(
+            "{}: nothing gives light: no probe, no distant panorama, no emissive material, no light; give --probes or \
+             --distant",
+            self.level
+        )))
+    }
+}
+
+/// Why there is no volume.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Stop {
+    /// The settings make no sense, by themselves or for this level.
+    #[error("{0}")]
+    Usage(String),
+    /// The level cannot be baked like this.
+    #[error("{0}")]
+    Invalid(String),
+    /// It would take more memory than there is, or than is allowed.
+    #[error("{0}")]
+    Memory(String),
+    /// No node has light.
+    #[error("{0}")]
+    Nothing(String),
+    /// Cancelled.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+impl From<Interrupted> for Stop {
+    fn from(Interrupted: Interrupted) -> Stop {
+        Stop::Interrupted
+    }
+}
+
+/// What a job does, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Trees, tables and what probes see are built.
+    Prepare,
+    /// Nodes are sampled, filled, and what stands between them is found.
+    Nodes,
+    /// Bands, numbers and sections of the file.
+    Pack,
+}
+
+impl Stage {
+    /// Its name in records.
+    pub fn name(self) -> &'static str {
+        match self {
+            Stage::Prepare => "prepare",
+            Stage::Nodes => "nodes",
+            Stage::Pack => "pack",
+        }
+    }
+}
+
+/// Lets a caller watch a job and stop it. The library reads no clock: who watches does.
+pub struct Watch<'a> {
+    /// Set it to stop.
+    pub cancel: &'a AtomicBool,
+    /// Called from worker threads with (nodes finished, rays traced) since the last call.
+    pub progress: &'a (dyn Fn(u64, u64) + Sync),
+    /// A stage begins.
+    pub stage: &'a dyn Fn(Stage),
+}
+
+impl<'a> Watch<'a> {
+    /// Looks at nothing.
+    pub fn silent(cancel: &'a AtomicBool) -> Watch<'a> {
+        Watch { cancel, progress: &|_, _| {}, stage: &|_| {} }
+    }
+}
+
+/// A bake whose inputs and settings fit together.
+#[derive(Debug)]
+pub struct Job {
+    /// As they are baked: exposures matched, the sun taken out.
+    pub inputs: Inputs,
+    /// As they were asked for.
+    pub settings: Settings,
+    nodes: Nodes,
+    sun: Option<SunRecord>,
+    exposure: Option<ExposureMatch>,
+    /// A distant panorama that no node can see.
+    sealed: Option<PlanRow>,
+}
+
+/// A baked volume with everything that is told about it.
+#[derive(Debug)]
+pub struct Made {
+    /// Where nodes are: sparser than was asked for, where that was asked for.
+    pub nodes: Nodes,
+    /// Their light.
+    pub baked: Baked,
+    /// Settings, plan, probes, statistics.
+    pub records: Records,
+    /// What fewer bands than were baked would lose, or have lost.
+    pub truncations: Vec<Truncation>,
+    /// How exposures were matched; `None`: they are as given.
+    pub exposure: Option<ExposureMatch>,
+    settings: Settings,
+}
+
+impl Job {
+    /// Checks the settings, places the nodes, takes out a sun, and matches exposures. `memory` is what it may take.
+    ///
+    /// # Errors
+    /// What makes no sense, before anything long has begun.
+    pub fn prepare(mut inputs: Inputs, settings: Settings, memory: Memory) -> Result<Job, Stop> {
+        settings.check().map_err(|out| Stop::Usage(format!("{} {}", out.flag, out.message)))?;
+        let method = inputs.method(&settings);
+        let mut exposure = None;
+        if method == Method::Gdibl && settings.quality.match_exposure {
+            let matched = match_exposure(&inputs.scene, &inputs.probes);
+            matched.apply(&mut inputs.probes);
+            inputs.findings.extend(matched.findings());
+            exposure = Some(matched);
+        }
+        let sun = match settings.quality.sun {
+            SunLight::Include => None,
+            SunLight::Extract => extract_sun(&mut inputs)?,
+        };
+        let nodes = nodes::nodes_of(&settings, &inputs.scene, &inputs.places, &inputs.level)?;
+        memory.check(&nodes, &settings)?;
+        // Nothing asks for what no node can see.
+        let sealed = inputs.distant.as_ref().filter(|_| bake::is_sealed(&nodes, &inputs.scene));
+        let sealed = sealed.map(|distant| plan::sealed_distant(&distant.name));
+        Ok(Job { inputs, settings, nodes, sun, exposure, sealed })
+    }
+
+    /// Where light will be baked.
+    pub fn nodes(&self) -> &Nodes {
+        &self.nodes
+    }
+
+    /// The method in force.
+    pub fn method(&self) -> Method {
+        self.inputs.method(&self.settings)
+    }
+
+    /// Probes have to be captured from the level before it can run.
+    pub fn wants_capture(&self) -> bool {
+        self.method() == Method::Gdibl && self.inputs.lacks_probes()
+    }
+
+    /// What will be done and left out, and why. No ray is traced.
+    pub fn plan(&self) -> Vec<PlanRow> {
+        let mut rows = self.first_rows();
+        rows.extend(self.with_function(&self.settings, RowsOf));
+        rows.push(plan::sparse(&self.nodes, self.settings.grid.tolerance, None));
+        rows.push(plan::walls(&self.nodes, &self.inputs.scene, None));
+        if self.settings.quality.sh == Bands::Auto {
+            let why = "all to L4 are baked, and those that light does not need left out";
+            rows.push(PlanRow::new("bands", true, why));
+        }
+        // What was baked tells whether any does.
+        if self.settings.quality.dering {
+            rows.push(PlanRow::new("deringing", true, "nodes that ring are windowed"));
+        }
+        if self.wants_capture() { plan::before_capture(rows) } else { rows }
+    }
+
+    /// Bakes.
+    ///
+    /// # Errors
+    /// No node has light of its own, or the caller cancelled.
+    pub fn run(self, watch: &Watch) -> Result<Made, Stop> {
+        let (method, mut rows) = (self.method(), self.first_rows());
+        let Sampled { nodes, mut baked, sparse, rows: found } = self.sample(&self.settings, true, watch)?;
+        check_valid(&baked).map_err(Stop::Nothing)?;
+        rows.extend(found);
+        let nodes = nodes.unwrap_or(self.nodes);
+        let Settings { grid, quality, .. } = &self.settings;
+        let truncations = bands::truncations(&baked);
+        if quality.sh == Bands::Auto {
+            let within = grid.tolerance.unwrap_or(BANDS_TOLERANCE);
+            let fewest = bands::fewest(&truncations, within, baked.bands);
+            rows.push(plan::bands(&truncations, within, fewest));
+            bands::truncate(&mut baked, fewest);
+        }
+        rows.push(plan::sparse(&nodes, grid.tolerance, sparse.as_ref()));
+        rows.push(plan::walls(&nodes, &self.inputs.scene, Some(&baked)));
+        let mut findings = self.inputs.findings.clone();
+        findings.extend(findings_of(&baked, quality.clamp.unwrap_or(f32::INFINITY)));
+        let stage = StageRecord { stage: Stage::Nodes.name().into(), rays: baked.rays, seconds: None };
+        let statistics =
+            StatisticsRecord { sun: self.sun, sparse, findings, stages: vec![stage], ..StatisticsRecord::of(&baked) };
+        let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
+        let probes = probe_records(&self.inputs.probes, distant);
+        let Inputs { level, files, program, .. } = self.inputs;
+        let records = Records {
+            settings: Some(settings_record(&self.settings, method, &nodes, level, files, program)),
+            probes,
+            statistics: Some(statistics),
+            plan: rows,
+        };
+        Ok(Made { nodes, baked, records, truncations, exposure: self.exposure, settings: self.settings })
+    }
+
+    /// Samples the nodes by the method and with the numbers of `settings`, which may differ from the job's in what does
+    /// not change where nodes are. Without `importance` all directions are uniform: a baseline for studies.
+    ///
+    /// # Errors
+    /// The caller cancelled.
+    pub fn sample(&self, settings: &Settings, importance: bool, watch: &Watch) -> Result<Sampled, Interrupted> {
+        (watch.stage)(Stage::Prepare);
+        self.with_function(settings, Sample { job: self, settings, importance, watch })
+    }
+
+    /// Calls `work` with the radiance function of the method in force.
+    fn with_function<W: Work>(&self, settings: &Settings, work: W) -> W::Output {
+        let directions = settings.bake().directions(self.nodes.len() as u64);
+        let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
+        with_function(&self.inputs, distant, settings, directions, work)
+    }
+
+    /// What was decided before there was a radiance function.
+    fn first_rows(&self) -> Vec<PlanRow> {
+        let Job { inputs, settings, .. } = self;
+        let mut rows = vec![plan::method(settings.quality.method, self.method(), inputs)];
+        rows.push(plan::capture(inputs, self.method()));
+        rows.extend(match &self.exposure {
+            Some(matched) => Some(plan::match_exposure(matched)),
+            None if settings.quality.match_exposure => {
+                Some(PlanRow::new("match-exposure", false, "path tracing needs no probe"))
+            }
+            None => None,
+        });
+        rows.extend(self.sealed.clone());
+        rows
+    }
+}
+
+/// Work on a radiance function, whichever it is.
+pub trait Work {
+    /// What comes of it.
+    type Output;
+
+    /// `rows`: what the function decided to do and to leave out.
+    fn run(self, function: &impl RadianceFunction, rows: Vec<PlanRow>) -> Self::Output;
+}
+
+/// Calls `work` with the radiance function of the method in force. `directions`: those that will leave nodes, all together,
+/// 0 where there are none.
+pub fn with_function<W: Work>(
+    inputs: &Inputs,
+    distant: Option<&Distant>,
+    settings: &Settings,
+    directions: u64,
+    work: W,
+) -> W::Output {
+    let scene = &inputs.scene;
+    // Of a panorama that no node can see the job says so itself.
+    let without_sealed = |mut rows: Vec<PlanRow>| {
+        if inputs.distant.is_some() && distant.is_none() {
+            rows.retain(|row| row.stage != "distant");
+        }
+        rows
+    };
+    if inputs.method(settings) == Method::Gdibl {
+        let function = Gdibl::new(scene, &inputs.probes, distant, settings.gdibl(inputs.captured, directions));
+        let rows = without_sealed(plan::plan(scene, &function));
+        work.run(&function, rows)
+    } else {
+        let function = Path::new(scene, distant, settings.path());
+        let rows = without_sealed(plan::plan_path(scene, &function));
+        work.run(&function, rows)
+    }
+}
+
+/// The plan alone.
+struct RowsOf;
+
+impl Work for RowsOf {
+    type Output = Vec<PlanRow>;
+
+    fn run(self, _: &impl RadianceFunction, rows: Vec<PlanRow>) -> Vec<PlanRow> {
+        rows
+    }
+}
+
+/// What was baked.
+#[derive(Debug)]
+pub struct Sampled {
+    /// Other nodes than the job's, where its grid became sparse.
+    pub nodes: Option<Nodes>,
+    /// Their light.
+    pub baked: Baked,
+    /// How sparse the grid is.
+    pub sparse: Option<records::SparseRecord>,
+    /// What the radiance function decided.
+    pub rows: Vec<PlanRow>,
+}
+
+/// Bakes the nodes of a job.
+struct Sample<'a, 'b> {
+    job: &'a Job,
+    settings: &'a Settings,
+    importance: bool,
+    watch: &'a Watch<'b>,
+}
+
+impl Work for Sample<'_, '_> {
+    type Output = Result<Sampled, Interrupted>;
+
+    fn run(self, function: &impl RadianceFunction, rows: Vec<PlanRow>) -> Self::Output {
+        let Sample { job, settings, importance, watch } = self;
+        (watch.stage)(Stage::Nodes);
+        let control = Control { cancel: watch.cancel, progress: watch.progress };
+        let bake_settings = bake::BakeSettings { importance, ..settings.bake() };
+        let (nodes, baked, sparse) = match (&job.nodes, settings.grid.tolerance) {
+            (Nodes::Grid(grid), Some(tolerance)) => {
+                let (nodes, baked, record) = bake::bake_sparse(grid, tolerance, function, &bake_settings, &control)?;
+                (Some(nodes), baked, record)
+            }
+            _ => (None, bake::bake(&job.nodes, function, &bake_settings, &control)?, None),
+        };
+        Ok(Sampled { nodes, baked, sparse, rows })
+    }
+}
+
+impl Made {
+    /// The sections of the file. What was baked goes before they are put together: it is as large as the file.
+    pub fn sections(self) -> Sections {
+        sections(&self.nodes, &self.baked, self.records, self.settings.pack())
+    }
+}
+
+/// What a job may take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Memory {
+    /// Bytes; infinite: no bound is known.
+    pub bytes: f64,
+    /// It was asked for, and is not what the machine has.
+    pub is_asked: bool,
+}
+
+impl Memory {
+    /// No bound.
+    pub const UNBOUNDED: Memory = Memory { bytes: f64::INFINITY, is_asked: false };
+
+    /// Says what a bake needs before any of it is taken.
+    fn check(self, nodes: &Nodes, settings: &Settings) -> Result<(), Stop> {
+        let is_sparse = settings.grid.tolerance.is_some();
+        let count = nodes.len() as u64 / if is_sparse { SPARSE_SHARE } else { 1 };
+        let needed = bake::memory_needed(count, &settings.bake());
+        if needed as f64 <= self.bytes {
+            return Ok(());
+        }
+        let gib = f64::from(1 << 30);
+        let what = if is_sparse { "places of a sparse grid may" } else { "nodes" };
+        let whose = if self.is_asked { "--max-memory allows" } else { "this machine has free" };
+        Err(Stop::Memory(format!(
+            "{} {what} need about {:.1} GiB, {whose} {:.1} GiB; use a larger --spacing or smaller --bounds",
+            nodes.len(),
+            needed as f64 / gib,
+            self.bytes / gib
+        )))
+    }
+}
+
+/// Takes the sun out of what nodes see of the distant panorama; `None`, with a finding, where no sun stands out.
+fn extract_sun(inputs: &mut Inputs) -> Result<Option<SunRecord>, Stop> {
+    let Some(distant) = &mut inputs.distant else {
+        return Err(Stop::Usage("--sun extract: takes a sun out of the distant panorama; give --distant IMAGE".into()));
+    };
+    let sun = distant.extract_sun();
+    if sun.is_none() {
+        let message = format!("{}: --sun extract finds no sun in it, and takes nothing out", distant.name);
+        inputs.findings.push(Finding::new("no-sun", 1, message));
+    }
+    Ok(sun.map(SunRecord::from))
+}
+
+/// All settings in force, and what they were applied to.
+fn settings_record(
+    settings: &Settings,
+    method: Method,
+    nodes: &Nodes,
+    level: String,
+    inputs: Vec<InputRecord>,
+    [writer, commit]: [String; 2],
+) -> SettingsRecord {
+    let mut in_force = settings.clone();
+    in_force.quality.method = method;
+    if let Nodes::Grid(grid) | Nodes::Sparse(bake::SparseGrid { grid, .. }) = nodes {
+        let ([x0, y0, z0], [x1, y1, z1]) = (grid.min, grid.max);
+        in_force.grid.bounds = Some([x0, y0, z0, x1, y1, z1]);
+    }
+    let quality = &settings.quality;
+    SettingsRecord {
+        writer,
+        level,
+        method: method.text().unwrap_or_default(),
+        blend: quality.blend.to_string(),
+        scene: quality.scene.to_string(),
+        sampler: quality.sampler.text().unwrap_or_default(),
+        samples: settings.samples(),
+        target_error: quality.target_error,
+        seed: quality.seed,
+        commit,
+        settings: in_force.recorded().into_iter().map(|(name, value)| SettingRecord { name, value }).collect(),
+        inputs,
+    }
+}

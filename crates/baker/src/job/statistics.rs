@@ -1,0 +1,102 @@
+//! What came of a bake, in figures.
+
+use super::records::{ErrorSummary, ProbeRecord, StandingRecord, StatisticsRecord, WallsRecord};
+use crate::Finding;
+use crate::bake::{Baked, Standing};
+use crate::radiance::Distant;
+use crate::radiance::gdibl::Probe;
+
+impl StatisticsRecord {
+    /// What a volume itself tells: without findings, stages, and what was left out of its light.
+    pub fn of(baked: &Baked) -> StatisticsRecord {
+        let errors = |all: &[f32]| {
+            let known = baked.valid_nodes().filter_map(|node| all.get(node));
+            ErrorSummary::of(known.map(|error| f64::from(*error)))
+        };
+        let valid = baked.valid_nodes().count() as u64;
+        let uncovered = count(baked, Standing::Uncovered);
+        let covered: f64 = baked.coverage.iter().map(|coverage| f64::from(*coverage)).sum();
+        StatisticsRecord {
+            nodes: baked.len() as u64,
+            nodes_valid: valid,
+            rays: baked.rays,
+            samples: baked.samples,
+            relative_error: errors(&baked.relative_error),
+            worst_direction_error: errors(&baked.worst_error),
+            coverage: covered / (valid + uncovered).max(1) as f64,
+            standing: StandingRecord {
+                uncovered,
+                solid: count(baked, Standing::Solid),
+                outside: count(baked, Standing::Outside),
+                moved: baked.moved.len() as u64,
+            },
+            walls: baked.walls.as_ref().map(WallsRecord::from),
+            ..StatisticsRecord::default()
+        }
+    }
+}
+
+fn count(baked: &Baked, of: Standing) -> u64 {
+    baked.standing.iter().filter(|standing| **standing == of).count() as u64
+}
+
+/// Without a valid node there is no light.
+///
+/// # Errors
+/// Why no node has light of its own, and what to look at.
+pub fn check_valid(baked: &Baked) -> Result<(), String> {
+    if baked.valid_nodes().next().is_some() {
+        return Ok(());
+    }
+    let [uncovered, solid, outside] =
+        [Standing::Uncovered, Standing::Solid, Standing::Outside].map(|standing| count(baked, standing));
+    let advice = match uncovered {
+        0 => "are the nodes in the level's rooms, and do its triangles face them (front: counter-clockwise)?",
+        _ => "are the probes' positions in the level's metres, inside the same rooms as the nodes, not in a wall?",
+    };
+    Err(format!(
+        "no node of {} has light of its own, so there is nothing to fill from and nothing was written: {uncovered} saw \
+         nothing that a probe or the distant panorama has seen, {solid} are in solids, {outside} behind the level's surfaces; \
+         {advice}",
+        baked.len()
+    ))
+}
+
+/// The findings of what was baked.
+pub fn findings_of(baked: &Baked, clamp: f32) -> Vec<Finding> {
+    let clamped = (baked.clamped > 0.0).then(|| {
+        let message = format!("--clamp {clamp} took {:.3} % of the light away", baked.clamped * 100.0);
+        Finding::new("clamped-light", 1, message)
+    });
+    let dropped = baked.walls.as_ref().map_or(0, |walls| walls.dropped);
+    let dropped = (dropped > 0).then(|| {
+        let message = format!(
+            "{dropped} cells with walls are left as if they had none: a file holds at most 65535 planes; split the volume, or \
+             bake with a larger --spacing"
+        );
+        Finding::new("dropped-walls", dropped as u64, message)
+    });
+    clamped.into_iter().chain(dropped).collect()
+}
+
+/// Probes, then the distant panorama.
+pub fn probe_records(probes: &[Probe], distant: Option<&Distant>) -> Vec<ProbeRecord> {
+    let probes = probes.iter().map(|probe| ProbeRecord {
+        name: probe.name.clone(),
+        position: Some(probe.position.into()),
+        rotation: probe.rotation.into(),
+        exposure_stops: probe.exposure_stops,
+        size: [probe.panorama.width() as u32, probe.panorama.height() as u32],
+        distance: probe.panorama.distances().is_some(),
+    });
+    // The black one that stands behind captured probes has no name: nobody gave it.
+    let given = distant.filter(|distant| !distant.name.is_empty()).map(|distant| ProbeRecord {
+        name: distant.name.clone(),
+        position: None,
+        rotation: distant.rotation.into(),
+        exposure_stops: distant.exposure_stops,
+        size: [distant.panorama.width() as u32, distant.panorama.height() as u32],
+        distance: distant.panorama.distances().is_some(),
+    });
+    probes.chain(given).collect()
+}

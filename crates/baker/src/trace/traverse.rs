@@ -1,7 +1,7 @@
 //! How a ray goes through the hierarchy, and its test of boxes for any processor.
 //!
-//! Based on: Ize, "Robust BVH Ray Traversal", JCGT 2(2), 2013 (the far distance of a box grows by a few ulps, so that rounding never
-//! loses a box the ray touches). `simd` has the same test of boxes by AVX2; the way through is one for both.
+//! Based on: Ize, "Robust BVH Ray Traversal", JCGT 2(2), 2013 (the far distance of a box grows by a few ulps, so that
+//! rounding never loses a box the ray touches). `simd` has the same test of boxes by AVX2; the way through is one for both.
 
 use glam::Vec3;
 

@@ -157,6 +157,11 @@ fn apply(given: &[Given], settings: &mut Settings) -> Result<(), Fault> {
     settings.check().map_err(|out| Fault::Usage(format!("{} {}", out.flag, out.message)))
 }
 
+/// The last part of a path, for records that must not depend on where a level lies.
+pub fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
 /// Starts as many worker threads as were asked for.
 pub fn set_threads(settings: &Settings) -> Result<(), Fault> {
     let Some(threads) = settings.quality.threads else { return Ok(()) };

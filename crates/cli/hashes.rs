@@ -5,9 +5,8 @@ use gdibl_baker::job::NodeKind;
 use gdibl_baker::job::records::InputRecord;
 use std::path::{Path, PathBuf};
 
-use crate::config::{Config, ProbeEntry};
+use crate::config::{Config, ProbeEntry, file_name};
 use crate::fault::Fault;
-use crate::inputs::file_name;
 
 /// All files that a bake reads: of a level also those that it refers to.
 pub fn inputs_of(config: &Config, probes: &[ProbeEntry]) -> Result<Vec<InputRecord>, Fault> {

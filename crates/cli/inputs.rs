@@ -12,7 +12,7 @@ use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
 use gdibl_baker::scene::Scene;
 
-use crate::config::{Config, ProbeEntry};
+use crate::config::{Config, ProbeEntry, file_name};
 use crate::fault::Fault;
 use crate::hashes::inputs_of;
 
@@ -24,11 +24,6 @@ const PROGRAM: [&str; 2] = [
         None => "",
     },
 ];
-
-/// The last part of a path, for records that must not depend on where a level lies.
-pub fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
-}
 
 /// Level, distant panorama, places, and the probes that are named.
 pub fn read_inputs(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::sync::atomic::Ordering;
 
+use gdibl_baker::Finding;
 use gdibl_baker::bake::Nodes;
 use gdibl_baker::exposure::ExposureMatch;
 use gdibl_baker::job::bands::Truncation;
@@ -91,12 +92,7 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     }
     let place = Place::of(&made.nodes);
     let missed = missed_text(&made, &config);
-    session.note(
-        &missed
-            .iter()
-            .map(|text| gdibl_baker::Finding::new("missed-target", made.baked.missed, text))
-            .collect::<Vec<_>>(),
-    );
+    missed.iter().for_each(|text| session.note(&[Finding::new("missed-target", made.baked.missed, text)]));
     let (sh, truncation, exposure) = (format!("L{}", made.baked.bands), made.truncations.clone(), made.exposure.take());
     let Packed { bytes, records } = made.sections().assemble();
     if session.cancel.load(Ordering::Relaxed) {

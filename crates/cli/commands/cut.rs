@@ -12,8 +12,8 @@ use gdibl_runtime::Volume;
 use gdibl_runtime::format::{self, Codec, Directory, Encoding};
 use serde::Serialize;
 
+use crate::config::file_name;
 use crate::fault::Fault;
-use crate::inputs::file_name;
 use crate::session::Outcome;
 
 /// Places at which a cut is compared with the volume.

@@ -7,8 +7,8 @@ use gdibl_export::{Engine, Error, Export, Loss, Settings, export};
 use gdibl_runtime::Volume;
 use serde::Serialize;
 
+use crate::config::file_name;
 use crate::fault::Fault;
-use crate::inputs::file_name;
 use crate::session::Outcome;
 
 #[derive(clap::Args)]

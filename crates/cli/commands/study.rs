@@ -15,10 +15,10 @@ use serde::Serialize;
 
 use super::compare::{Kind, read};
 use crate::captures::capture_missing;
-use crate::config::{Config, FileFlags, LightFlags, set_threads};
+use crate::config::{Config, FileFlags, LightFlags, file_name, set_threads};
 use crate::fault::Fault;
 use crate::flags::{OfBakes, SettingFlags};
-use crate::inputs::{file_name, memory_of, read_inputs};
+use crate::inputs::{memory_of, read_inputs};
 use crate::progress::{Clock, Progress};
 use crate::session::{Outcome, Session, say};
 use crate::study::methods::{self, Circumstances, LeftOut};

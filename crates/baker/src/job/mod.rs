@@ -5,137 +5,37 @@
 //! comes from the stages that decide. Then it runs.
 
 pub mod bands;
+mod inputs;
 mod nodes;
 pub mod plan;
 pub mod records;
 mod settings;
 mod statistics;
+mod stop;
 mod text;
 
-use glam::DVec3;
 use std::sync::atomic::AtomicBool;
 
 use crate::bake::{self, Baked, Nodes};
 use crate::exposure::{ExposureMatch, match_exposure};
 use crate::pack::{Sections, sections};
-use crate::radiance::gdibl::{Gdibl, Probe};
+use crate::radiance::gdibl::Gdibl;
 use crate::radiance::path::Path;
 use crate::radiance::{Distant, RadianceFunction};
-use crate::scene::{Mesh, Role, Scene};
 use crate::{Control, Finding, Interrupted};
 use bands::Truncation;
+pub use inputs::Inputs;
 use records::{InputRecord, PlanRow, Records, SettingRecord, SettingsRecord, StageRecord, StatisticsRecord, SunRecord};
 pub use settings::{CapturePlan, GridSettings, OutOfRange, QualitySettings, ROWS, Row, Settings};
 pub use statistics::check_valid;
 use statistics::{findings_of, probe_records};
+pub use stop::Stop;
 pub use text::{Bands, Method, NodeKind, Punctual, SunLight, Text};
 
 /// What `--sh auto` allows fewer bands to lose where no tolerance is given.
 const BANDS_TOLERANCE: f64 = 0.1;
 /// What a sparse grid is taken to have of its places, before anything is known of it. Rooms have less.
 const SPARSE_SHARE: u64 = 2;
-
-/// What a bake is made from, as values.
-#[derive(Debug, Clone)]
-pub struct Inputs {
-    /// The level.
-    pub scene: Scene,
-    /// Its name in messages and records.
-    pub level: String,
-    /// Light probes.
-    pub probes: Vec<Probe>,
-    /// The panorama at infinity.
-    pub distant: Option<Distant>,
-    /// Nodes of [`NodeKind::Points`], world metres.
-    pub places: Vec<DVec3>,
-    /// The probes were captured from the level for want of others, and show reflected light alone.
-    pub captured: bool,
-    /// What reading found.
-    pub findings: Vec<Finding>,
-    /// The files that all this was read from, for the record.
-    pub files: Vec<InputRecord>,
-    /// Who bakes: a program with its version, and the commit of its source.
-    pub program: [String; 2],
-}
-
-impl Inputs {
-    /// A level without probes and sky.
-    pub fn new(scene: Scene) -> Inputs {
-        Inputs {
-            scene,
-            level: String::new(),
-            probes: Vec::new(),
-            distant: None,
-            places: Vec::new(),
-            captured: false,
-            findings: Vec::new(),
-            files: Vec::new(),
-            program: [concat!("gdibl-baker ", env!("CARGO_PKG_VERSION")).into(), String::new()],
-        }
-    }
-
-    /// No probe was given, and there is something that one could see.
-    pub fn lacks_probes(&self) -> bool {
-        self.probes.is_empty() && self.scene.triangle_count(Role::Environment) > 0
-    }
-
-    /// Something gives light that a path can find.
-    pub fn has_light(&self) -> bool {
-        let glows = |mesh: &Mesh| self.scene.materials[mesh.material as usize].emission != glam::Vec3::ZERO;
-        self.distant.is_some() || !self.scene.lights.is_empty() || self.scene.meshes.iter().any(glows)
-    }
-
-    /// The method in force: never [`Method::Auto`].
-    pub fn method(&self, settings: &Settings) -> Method {
-        match settings.quality.method {
-            Method::Auto if self.probes.is_empty() => Method::Path,
-            Method::Auto => Method::Gdibl,
-            asked => asked,
-        }
-    }
-
-    /// Work without any light is refused.
-    ///
-    /// # Errors
-    /// [`Stop::Nothing`]: what could give light.
-    pub fn check_light(&self, method: Method) -> Result<(), Stop> {
-        let by_probes = method == Method::Gdibl && !self.probes.is_empty();
-        if by_probes || self.has_light() {
-            return Ok(());
-        }
-        Err(Stop::Nothing(format!(
-            "{}: nothing gives light: no probe, no distant panorama, no emissive material, no light; give --probes or \
-             --distant",
-            self.level
-        )))
-    }
-}
-
-/// Why there is no volume.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Stop {
-    /// The settings make no sense, by themselves or for this level.
-    #[error("{0}")]
-    Usage(String),
-    /// The level cannot be baked like this.
-    #[error("{0}")]
-    Invalid(String),
-    /// It would take more memory than there is, or than is allowed.
-    #[error("{0}")]
-    Memory(String),
-    /// No node has light.
-    #[error("{0}")]
-    Nothing(String),
-    /// Cancelled.
-    #[error("interrupted")]
-    Interrupted,
-}
-
-impl From<Interrupted> for Stop {
-    fn from(Interrupted: Interrupted) -> Stop {
-        Stop::Interrupted
-    }
-}
 
 /// What a job does, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 
-use super::Stop;
 use super::settings::{GridSettings, Settings};
+use super::stop::Stop;
 use super::text::NodeKind;
 use crate::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_spacing};
 use crate::scene::Scene;

@@ -2,8 +2,8 @@
 
 use gdibl_runtime::sh::MAX_BANDS;
 
-use super::Inputs;
 use super::bands::Truncation;
+use super::inputs::Inputs;
 use super::records::{PlanRow, SparseRecord};
 use super::text::Method;
 use crate::bake::{Baked, Nodes, Walls, levels_of};

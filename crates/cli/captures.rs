@@ -9,6 +9,7 @@ use std::time::Instant;
 use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, Placement, capture, place_probes};
 use gdibl_baker::import::gltf::{TextureNeeds, read_files};
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
+use gdibl_baker::import::sky::SkySource;
 use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::path::{Path as Paths, PathSettings, specular_left_out};
@@ -17,7 +18,7 @@ use gdibl_baker::{Control, Finding};
 
 use crate::config::{CaptureFlags, Config, ProbeEntry, QualityFlags};
 use crate::fault::Fault;
-use crate::inputs::{Inputs, images_of};
+use crate::inputs::{Inputs, images_of, sky_source};
 use crate::progress::Progress;
 
 /// A probe that is to be captured.
@@ -237,8 +238,12 @@ fn content_key(config: &Config, settings: &CaptureSettings) -> Result<String, Fa
         }
     }
     if let Some(distant) = &config.distant {
-        part(&std::fs::read(&distant.image).map_err(|error| Fault::reading(&distant.image, &error))?);
-        part(format!("{:?} {:?} {:?}", distant.rotation, distant.exposure_stops, distant.mapping).as_bytes());
+        match sky_source(&distant.image)? {
+            SkySource::Image(image) => part(&std::fs::read(&image).map_err(|error| Fault::reading(&image, &error))?),
+            constant => part(format!("{constant:?}").as_bytes()),
+        }
+        let ProbeEntry { rotation, yaw, exposure_stops, mapping, layer, .. } = distant;
+        part(format!("{rotation:?} {yaw:?} {exposure_stops:?} {mapping:?} {layer:?}").as_bytes());
     }
     let flags = &config.capture;
     part(format!("{settings:?} {:?} {:?} {:?}", path_settings(config)?, flags.positions, flags.most).as_bytes());

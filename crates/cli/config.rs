@@ -5,6 +5,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 use gdibl_baker::import::gltf::TextureNeeds;
+use gdibl_baker::import::sky::SkySource;
 use gdibl_baker::radiance::blend::BlendRule;
 use gdibl_baker::radiance::gdibl::{GdiblSettings, SceneHit};
 use gdibl_baker::radiance::path::PathSettings;
@@ -12,6 +13,7 @@ use gdibl_baker::sampling::Sampler;
 use gdibl_baker::volume::Precision;
 
 use crate::fault::Fault;
+use crate::inputs::sky_source;
 
 /// Flags that BAKE.toml can hold too. `None`: not said.
 #[derive(Args, Clone, Debug, Default, Deserialize)]
@@ -255,13 +257,19 @@ pub struct ProbeEntry {
     pub exposure_stops: f32,
     /// How the image maps directions, by name (lat-long, angular, cube-strip …).
     pub mapping: Option<String>,
+    /// The layer of an EXR file.
+    pub layer: Option<String>,
+    /// Of the distant panorama: degrees around +Y, after the rotation.
+    #[serde(default)]
+    pub yaw: f64,
 }
 
-/// The distant panorama: a path, or a table like a probe's without position.
+/// The distant panorama: a path, the radiance of a sky without a file, or a table like a probe's without position.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
 pub enum DistantEntry {
     Image(PathBuf),
+    Constant([f32; 3]),
     Placed(ProbeEntry),
 }
 
@@ -287,6 +295,8 @@ pub struct Config {
     pub output: PathBuf,
     pub environment: Option<PathBuf>,
     pub distant: Option<ProbeEntry>,
+    /// The layer of all images.
+    pub layer: Option<String>,
     pub probes: Vec<PathBuf>,
     pub placed_probes: Vec<ProbeEntry>,
     pub grid: GridFlags,
@@ -305,12 +315,58 @@ pub struct FileFlags {
     /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable
     #[arg(long, value_name = "PATH")]
     pub probes: Vec<PathBuf>,
-    /// Panorama at infinity: the sky, the street outside
+    /// Panorama at infinity: the sky, the street outside; or R,G,B, the same radiance from everywhere
     #[arg(long, value_name = "IMAGE")]
     pub distant: Option<PathBuf>,
+    #[command(flatten)]
+    pub sky: SkyFlags,
     /// Other geometry for the environment (a proxy) [default: the level's nodes by role]
     #[arg(long, value_name = "FILE")]
     pub environment: Option<PathBuf>,
+}
+
+/// How images are read and the distant panorama is turned.
+#[derive(Args, Clone, Debug, Default)]
+pub struct SkyFlags {
+    /// Layer of EXR images to read, by its name or the end of it [default: the picture]
+    #[arg(long, value_name = "NAME")]
+    pub layer: Option<String>,
+    /// How the distant panorama maps directions: lat-long, lat-long-three, lat-long-blender, angular, cube-strip …
+    /// [default: what its file says, else lat-long if it is twice as wide as high]
+    #[arg(long, value_name = "NAME")]
+    pub distant_mapping: Option<String>,
+    /// Turn the distant panorama around +Y by degrees, counter-clockwise as seen from above [default: 0]
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
+    pub distant_yaw: Option<f64>,
+    /// Make the distant panorama brighter by stops: 1 doubles its light [default: 0]
+    #[arg(long, value_name = "STOPS", allow_hyphen_values = true)]
+    pub distant_exposure: Option<f32>,
+}
+
+impl SkyFlags {
+    /// Lets the flags win.
+    fn apply(&self, distant: Option<&mut ProbeEntry>) -> Result<(), Fault> {
+        let stray = self.distant_mapping.is_some() || self.distant_yaw.is_some() || self.distant_exposure.is_some();
+        let Some(entry) = distant else {
+            return match stray {
+                true => Err(Fault::Usage("--distant-…: there is no distant panorama; give --distant IMAGE".into())),
+                false => Ok(()),
+            };
+        };
+        for (flag, found) in [
+            ("yaw", self.distant_yaw.map(|v| v.abs() <= 36000.0)),
+            ("exposure", self.distant_exposure.map(|v| v.abs() <= 100.0)),
+        ] {
+            if found == Some(false) {
+                return Err(Fault::Usage(format!("--distant-{flag}: expected up to 36000 degrees or 100 stops")));
+            }
+        }
+        entry.layer = self.layer.clone().or(entry.layer.take());
+        entry.mapping = self.distant_mapping.clone().or(entry.mapping.take());
+        entry.yaw = self.distant_yaw.unwrap_or(entry.yaw);
+        entry.exposure_stops = self.distant_exposure.unwrap_or(entry.exposure_stops);
+        Ok(())
+    }
 }
 
 impl Config {
@@ -331,17 +387,34 @@ impl Config {
         let Some(level) = file.level.take() else {
             return Err(Fault::Invalid(format!("{}: names no level; add: level = \"LEVEL.glb\"", input.display())));
         };
-        let distant = file.distant.map(|distant| match distant {
-            DistantEntry::Image(image) => ProbeEntry { image: folder.join(image), ..ProbeEntry::default() },
-            DistantEntry::Placed(entry) => ProbeEntry { image: folder.join(&entry.image), ..entry },
-        });
+        // A sky without a file has no folder.
+        let resolve = |image: PathBuf| -> Result<PathBuf, Fault> {
+            match sky_source(&image)? {
+                SkySource::Image(image) => Ok(folder.join(image)),
+                SkySource::Constant(_) => Ok(image),
+            }
+        };
+        let distant = match file.distant {
+            None => None,
+            Some(DistantEntry::Image(image)) => Some(ProbeEntry { image: resolve(image)?, ..ProbeEntry::default() }),
+            Some(DistantEntry::Constant([r, g, b])) => {
+                Some(ProbeEntry { image: resolve(format!("{r},{g},{b}").into())?, ..ProbeEntry::default() })
+            }
+            Some(DistantEntry::Placed(entry)) => Some(ProbeEntry { image: resolve(entry.image.clone())?, ..entry }),
+        };
+        let mut distant = files.distant.map(|image| ProbeEntry { image, ..ProbeEntry::default() }).or(distant);
+        files.sky.apply(distant.as_mut())?;
+        for probe in &mut file.probe {
+            probe.layer = files.sky.layer.clone().or(probe.layer.take());
+        }
         // Probes named on the command line replace the file's.
         let by_flag = !files.probes.is_empty();
         Ok(Config {
             output: files.output.or(file.output).unwrap_or_else(|| input.with_extension("gdibl")),
             level,
             environment: files.environment.or(file.environment),
-            distant: files.distant.map(|image| ProbeEntry { image, ..ProbeEntry::default() }).or(distant),
+            distant,
+            layer: files.sky.layer,
             probes: if by_flag { files.probes } else { file.probes },
             placed_probes: if by_flag { Vec::new() } else { file.probe },
             grid: grid.or(file.grid)?,

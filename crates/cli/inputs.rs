@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use gdibl_baker::Finding;
 use gdibl_baker::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_spacing};
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
-use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
+use gdibl_baker::import::image::{Imported, ReadOptions, is_image, read_image};
+use gdibl_baker::import::sky::{SkyOptions, SkySource, read_sky};
 use gdibl_baker::panorama::{Mapping, Panorama, Sun, to_lat_long};
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::exposure::{ExposureMatch, match_exposure};
@@ -65,15 +66,17 @@ impl Inputs {
         }
         let mut inputs = Inputs { scene, probes: Vec::new(), distant: None, findings, captured: false, exposure: None };
         if let Some(entry) = &config.distant {
-            let (imported, panorama) = read_panorama(entry, config)?;
-            inputs.findings.extend(imported.findings.iter().cloned());
-            inputs.distant = Some(Distant {
-                name: file_name(&entry.image),
-                rotation: rotation_of(entry, &imported)?,
+            let source = sky_source(&entry.image)?;
+            let options = SkyOptions {
+                read: read_options(entry, config),
+                mapping: mapping_of(entry)?,
+                rotation: entry.rotation.map(DQuat::from_array),
+                yaw_degrees: entry.yaw,
                 exposure_stops: entry.exposure_stops,
-                panorama,
-                without_sun: None,
-            });
+            };
+            let (distant, findings) = read_sky(&source, &options)?;
+            inputs.findings.extend(findings);
+            inputs.distant = Some(distant);
         }
         Ok(inputs)
     }
@@ -154,7 +157,7 @@ fn probe_entries(config: &Config, scene: &Scene) -> Result<Vec<ProbeEntry>, Faul
     let mut entries = config.placed_probes.clone();
     for path in &config.probes {
         for image in images_of(path)? {
-            entries.push(ProbeEntry { image, ..ProbeEntry::default() });
+            entries.push(ProbeEntry { image, layer: config.layer.clone(), ..ProbeEntry::default() });
         }
     }
     if entries.is_empty() {
@@ -178,29 +181,38 @@ pub fn images_of(path: &Path) -> Result<Vec<PathBuf>, Fault> {
     for entry in std::fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
         let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
-        if extension == "exr" || extension == "hdr" {
+        if extension == "exr" || extension == "hdr" || (file.is_file() && is_image(&file)?) {
             images.push(file);
         }
     }
     images.sort();
     if images.is_empty() {
-        return Err(Fault::Invalid(format!("{}: this folder holds no .exr or .hdr file", path.display())));
+        return Err(Fault::Invalid(format!("{}: this folder holds no EXR or HDR image", path.display())));
     }
     Ok(images)
 }
 
+/// A sky without a file is three numbers.
+pub fn sky_source(image: &Path) -> Result<SkySource, Fault> {
+    image.to_string_lossy().parse().map_err(|why| Fault::Usage(format!("--distant {why}")))
+}
+
+fn read_options(entry: &ProbeEntry, config: &Config) -> ReadOptions {
+    ReadOptions { repair_pixels: config.quality.repair_pixels.unwrap_or(false), layer: entry.layer.clone() }
+}
+
+fn mapping_of(entry: &ProbeEntry) -> Result<Option<Mapping>, Fault> {
+    let Some(name) = &entry.mapping else { return Ok(None) };
+    let mapping = Mapping::parse(name).ok_or_else(|| {
+        let names = Mapping::ALL.map(Mapping::name).join(", ");
+        Fault::Usage(format!("{}: no mapping is called '{name}'; there are {names}", entry.image.display()))
+    })?;
+    Ok(Some(mapping))
+}
+
 fn read_panorama(entry: &ProbeEntry, config: &Config) -> Result<(Imported, Panorama), Fault> {
-    let options = ReadOptions { repair_pixels: config.quality.repair_pixels.unwrap_or(false) };
-    let imported = read_image(&entry.image, &options)?;
-    let mapping = match &entry.mapping {
-        Some(name) => Mapping::parse(name).ok_or_else(|| {
-            let names = Mapping::ALL.map(Mapping::name).join(", ");
-            Fault::Usage(format!("{}: no mapping is called '{name}'; there are {names}", entry.image.display()))
-        })?,
-        None => imported.mapping.unwrap_or(Mapping::LatLong),
-    };
-    let (width, height) = (imported.image.width, imported.image.height);
-    mapping.check_shape(width, height).map_err(|why| Fault::Invalid(format!("{}: {why}", entry.image.display())))?;
+    let imported = read_image(&entry.image, &read_options(entry, config))?;
+    let mapping = imported.layout(&entry.image, mapping_of(entry)?)?;
     let panorama = to_lat_long(&imported.image, mapping, None);
     Ok((imported, panorama))
 }

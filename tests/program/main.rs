@@ -18,5 +18,6 @@ mod packed;
 mod probes;
 mod reader;
 mod render;
+mod sky;
 mod study;
 mod sun;

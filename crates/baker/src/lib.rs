@@ -16,6 +16,7 @@ mod angle;
 pub mod bake;
 pub mod bands;
 pub mod capture;
+mod colour;
 mod control;
 pub mod cut;
 pub mod deringing;

@@ -11,7 +11,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use crate::captures::{Outcome, Place, capture_all, capture_settings, path_settings, places, say};
-use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, RunFlags, set_threads};
+use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, RunFlags, SkyFlags, set_threads};
 use crate::fault::Fault;
 use crate::inputs::Inputs;
 use crate::progress::cancel_on_interrupt;
@@ -27,6 +27,8 @@ pub struct Arguments {
     /// Panorama at infinity: the sky, the street outside
     #[arg(long, value_name = "IMAGE")]
     distant: Option<PathBuf>,
+    #[command(flatten)]
+    sky: SkyFlags,
     #[command(flatten)]
     capture: CaptureFlags,
     /// Layout of the images: lat-long, angular, cube-exr, cube-strip, cube-cross-horizontal, cube-cross-vertical …
@@ -77,6 +79,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         output: None,
         probes: Vec::new(),
         distant: arguments.distant,
+        sky: arguments.sky,
         environment: None,
     };
     let quality = QualityFlags {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use gdibl_baker::Finding;
 use gdibl_baker::analyse::{
     Answer, CompareSettings, Comparison, IrradianceError, NoiseUnknown, Truth, choose_sets, compare,
 };
@@ -42,6 +43,7 @@ struct Report {
     truth_deringed: bool,
     #[serde(flatten)]
     comparison: Comparison,
+    findings: Vec<Finding>,
     tolerance: Option<f64>,
     within_tolerance: Option<bool>,
 }
@@ -51,6 +53,8 @@ pub struct Input {
     pub light: Kind,
     /// Of a volume.
     pub seed: Option<u64>,
+    /// File name of the level that a volume was baked from; empty where it is not known.
+    pub level: String,
     pub deringed: bool,
 }
 
@@ -63,7 +67,7 @@ impl Input {
     /// Its sets that have one of these names.
     pub fn truths(self, sets: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {
         let truths = match self.light {
-            Kind::Volume(volume) => vec![Truth::of_volume(&volume)],
+            Kind::Volume(volume) => vec![Truth { level: self.level, ..Truth::of_volume(&volume) }],
             Kind::Reference(truths) => truths,
         };
         chosen(truths, sets, path)
@@ -78,6 +82,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let (found, truth) = (read(found_path)?, read(truth_path)?);
     let settings = CompareSettings { common_seed: found.seed.is_some() && found.seed == truth.seed };
     let (found_deringed, truth_deringed) = (found.deringed, truth.deringed);
+    let level = found.level;
     let Kind::Volume(found) = found.light else {
         return Err(Fault::Invalid(format!(
             "{}: is a reference; the volume comes first: gdibl compare VOLUME.gdibl REFERENCE.json",
@@ -87,11 +92,23 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let truths = truth.truths(sets, truth_path)?;
     let comparison = compare(&found, &truths, &settings)
         .map_err(|nothing| Fault::Invalid(format!("{}: {nothing}", found_path.display())))?;
+    let findings = other_levels(found_path, &level, &truths);
+    for finding in &findings {
+        eprintln!("gdibl: {}: {}", finding.id, finding.message);
+    }
     let relative_rmse = comparison.all.relative_rmse;
     let within_tolerance = tolerance.map(|tolerance| relative_rmse <= tolerance);
     let [found, truth] = [found_path, truth_path].map(|path| path.display().to_string());
-    let report =
-        Report { found, truth, found_deringed, truth_deringed, comparison, tolerance: *tolerance, within_tolerance };
+    let report = Report {
+        found,
+        truth,
+        found_deringed,
+        truth_deringed,
+        comparison,
+        findings,
+        tolerance: *tolerance,
+        within_tolerance,
+    };
     if *json {
         super::print_json(&report)?
     } else {
@@ -111,7 +128,12 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
 pub fn read(path: &Path) -> Result<Input, Fault> {
     let bytes = super::read_volume_bytes(path)?;
     if is_json(&bytes) {
-        return Ok(Input { light: Kind::Reference(parse_reference(path, &bytes)?), seed: None, deringed: false });
+        return Ok(Input {
+            light: Kind::Reference(parse_reference(path, &bytes)?),
+            seed: None,
+            level: String::new(),
+            deringed: false,
+        });
     }
     if !bytes.starts_with(&MAGIC) {
         return Err(Fault::Invalid(format!(
@@ -127,8 +149,24 @@ pub fn read(path: &Path) -> Result<Input, Fault> {
     Ok(Input {
         deringed: volume.header().is_deringed(),
         light: Kind::Volume(Box::new(volume)),
-        seed: settings.map(|settings| settings.seed),
+        seed: settings.as_ref().map(|settings| settings.seed),
+        level: settings.map(|settings| settings.level).unwrap_or_default(),
     })
+}
+
+/// Truth of a level by another name than the volume's: the difference is then that of the levels. Names are all that both keep.
+fn other_levels(path: &Path, level: &str, truths: &[Truth]) -> Vec<Finding> {
+    let differs = |truth: &&Truth| !level.is_empty() && !truth.level.is_empty() && truth.level != level;
+    let said = |truth: &Truth| {
+        let message = format!(
+            "{} was baked from {level}, and '{}' is the light of {}: the error holds the difference of the levels",
+            path.display(),
+            truth.name,
+            truth.level
+        );
+        Finding::new("other-level", 1, message)
+    };
+    truths.iter().filter(differs).map(said).collect()
 }
 
 fn chosen(truths: Vec<Truth>, names: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {
@@ -152,6 +190,9 @@ fn print(report: &Report) -> Result<(), Fault> {
         if count > 0 {
             row("", format!("{count} {why}"));
         }
+    }
+    for finding in &report.findings {
+        row("beware", finding.message.clone());
     }
     row("light", bands_text(comparison, found, truth));
     for (deringed, name) in [(report.found_deringed, found), (report.truth_deringed, truth)] {

@@ -17,7 +17,7 @@ use serde::Serialize;
 
 use super::render::{CameraFlags, camera_of, parse_size};
 use crate::captures::path_settings;
-use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, set_threads};
+use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, SkyFlags, set_threads};
 use crate::fault::Fault;
 use crate::inputs::{Inputs, parse_bounds};
 
@@ -47,6 +47,8 @@ struct LevelFlags {
     /// Panorama at infinity: the sky, the street outside
     #[arg(long, value_name = "IMAGE")]
     distant: Option<PathBuf>,
+    #[command(flatten)]
+    sky: SkyFlags,
     /// Box whose free space looks around, world metres: x0,y0,z0,x1,y1,z1 [default: the level's box]
     #[arg(long, value_name = "BOX", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
     bounds: Option<Vec<f64>>,
@@ -150,6 +152,7 @@ impl Level {
             output: None,
             probes: flags.probes.clone(),
             distant: flags.distant.clone(),
+            sky: flags.sky.clone(),
             environment: None,
         };
         let grid = GridFlags { bounds: flags.bounds.clone(), ..GridFlags::default() };

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::captures::{capture_missing, say};
 use crate::config::{
-    CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, RunFlags, gdibl_settings, parse_blend,
+    CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, RunFlags, SkyFlags, gdibl_settings, parse_blend,
     parse_method, parse_position, path_settings, set_threads,
 };
 use crate::fault::Fault;
@@ -58,6 +58,8 @@ pub struct Arguments {
     /// Panorama at infinity: the sky, the street outside
     #[arg(long, value_name = "IMAGE")]
     distant: Option<PathBuf>,
+    #[command(flatten)]
+    sky: SkyFlags,
     /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
     /// [default: footprint:4]
     #[arg(long, value_name = "RULE", value_parser = parse_blend)]
@@ -197,6 +199,7 @@ fn config_of(arguments: &Arguments) -> Result<Config, Fault> {
         output: None,
         probes: arguments.probes.clone(),
         distant: arguments.distant.clone(),
+        sky: arguments.sky.clone(),
         environment: None,
     };
     let quality = QualityFlags {

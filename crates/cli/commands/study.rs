@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::bake::{bake_settings, check_memory};
 use super::compare::{Kind, read};
 use crate::captures::{capture_missing, say};
-use crate::config::{Bands, CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, set_threads};
+use crate::config::{Bands, CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, SkyFlags, set_threads};
 use crate::fault::Fault;
 use crate::inputs::{Inputs, nodes_of};
 use crate::progress::{Progress, cancel_on_interrupt};
@@ -37,6 +37,8 @@ pub struct Arguments {
     /// Panorama at infinity: the sky, the street outside
     #[arg(long, value_name = "IMAGE")]
     distant: Option<PathBuf>,
+    #[command(flatten)]
+    sky: SkyFlags,
     /// Other geometry for the environment (a proxy) [default: the level's nodes by role]
     #[arg(long, value_name = "FILE")]
     environment: Option<PathBuf>,
@@ -125,6 +127,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
         output: stem.as_deref().map(|stem| with_ending(stem, "gdibl")),
         probes: arguments.probes.clone(),
         distant: arguments.distant.clone(),
+        sky: arguments.sky.clone(),
         environment: arguments.environment.clone(),
     };
     let config = Config::new(files, arguments.grid.clone(), arguments.quality.clone(), CaptureFlags::default())?;

@@ -15,6 +15,7 @@
 //! Of the best class there is, the best name, then the first in the file. Where another layer could be meant, a finding says
 //! which was taken.
 
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use ::exr::math::Vec2;
@@ -23,6 +24,9 @@ use ::exr::meta::header::Header;
 
 use super::space;
 use crate::{Error, Finding, Result};
+
+/// Layers that a message names.
+const MOST_NAMES: usize = 20;
 
 /// Channels of the picture: part and index in its channel list.
 pub(super) struct Channels {
@@ -125,7 +129,7 @@ fn named<'a>(path: &Path, candidates: &'a [Candidate], name: &str) -> Result<&'a
             [] => {}
             [one] => return Ok(one),
             _ => {
-                let names = found.iter().map(|candidate| candidate.shown()).collect::<Vec<_>>().join(", ");
+                let names = named_list(found.iter().map(|candidate| candidate.shown()));
                 return Err(Error::unsupported(
                     path,
                     format!("the layer {name} is asked for, and several are called so: {names}; give the whole name"),
@@ -188,7 +192,7 @@ fn most_likely<'a>(
     if !rivals.is_empty() || chosen.class >= Class::LikePicture {
         let others = match rivals.len() {
             0 => "it is the only one that can be light".into(),
-            _ => format!("there are also {}", rivals.join(", ")),
+            _ => format!("there are also {}", named_list(rivals.iter().cloned())),
         };
         let message =
             format!("the layer {} was taken as the picture; {others}; --layer NAME takes another", chosen.shown());
@@ -210,28 +214,33 @@ fn list(candidates: &[Candidate]) -> String {
         Class::NoLight => format!("{} (no light)", candidate.shown()),
         _ => candidate.shown(),
     };
-    candidates.iter().map(describe).collect::<Vec<_>>().join(", ")
+    named_list(candidates.iter().map(describe))
+}
+
+/// The first names, and that there are more.
+fn named_list(names: impl Iterator<Item = String>) -> String {
+    let mut names: Vec<String> = names.take(MOST_NAMES + 1).collect();
+    if names.len() > MOST_NAMES {
+        names[MOST_NAMES] = "…".into();
+    }
+    names.join(", ")
 }
 
 /// The layers of a part that have R, G and B, or luminance.
 fn candidates_of(headers: &[Header], part: usize) -> Vec<Candidate> {
     let header = &headers[part];
     let names: Vec<String> = header.channels.list.iter().map(|c| c.name.to_string()).collect();
-    let mut prefixes: Vec<&str> = vec![""];
-    for name in &names {
-        let prefix = name.rfind('.').map_or("", |dot| &name[..=dot]);
-        if !prefixes.contains(&prefix) {
-            prefixes.push(prefix);
-        }
-    }
+    let places: HashMap<&str, usize> = names.iter().enumerate().map(|(index, name)| (&name[..], index)).collect();
+    let lower: HashSet<String> = names.iter().map(|name| name.to_lowercase()).collect();
+    // In the order of the file, the one without a name first.
+    let mut known = HashSet::from([""]);
+    let layers = names.iter().map(|name| name.rfind('.').map_or("", |dot| &name[..=dot]));
+    let layers: Vec<&str> = layers.filter(|layer| known.insert(layer)).collect();
     let part_name = header.own_attributes.layer_name.as_ref().map(ToString::to_string).unwrap_or_default();
     let mut candidates = Vec::new();
-    for prefix in prefixes {
-        let find = |own: &str| {
-            let name = format!("{prefix}{own}");
-            names.iter().position(|found| *found == name)
-        };
-        let has = |own: &str| names.iter().any(|found| found.eq_ignore_ascii_case(&format!("{prefix}{own}")));
+    for prefix in std::iter::once("").chain(layers) {
+        let find = |own: &str| places.get(&format!("{prefix}{own}")[..]).copied();
+        let has = |own: &str| lower.contains(&format!("{prefix}{own}").to_lowercase());
         let three = |names: [&str; 3]| {
             let [r, g, b] = names.map(find);
             Some([r?, g?, b?])

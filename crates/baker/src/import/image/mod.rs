@@ -83,13 +83,14 @@ impl Imported {
         let is_lat_long = width == 2 * height || (width, height) == (1, 1);
         let Some(mapping) = said.or(self.mapping).or(is_lat_long.then_some(Mapping::LatLong)) else {
             let guess = match guess_from_aspect(width, height) {
-                Some(guess) => format!("the shape is that of {}", guess.name()),
-                None => "the shape is that of no mapping: was it cropped?".into(),
+                Some(guess) => format!("this looks like {}", guess.name()),
+                None => "this is the shape of no mapping: was it cropped?".into(),
             };
             return Err(Error::invalid(
                 path,
                 format!(
-                    "{width} x {height} pixels, and neither the file nor you say by which mapping they show directions; a                      lat-long panorama is twice as wide as high; {guess}; name the mapping (lat-long all the same, if it is)"
+                    "the image has {width} x {height} pixels and names no mapping; a lat-long panorama is twice as wide as \
+                     high, and {guess}; say which it is: --distant-mapping NAME, or mapping in a BAKE.toml"
                 ),
             ));
         };

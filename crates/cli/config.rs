@@ -259,7 +259,7 @@ pub struct ProbeEntry {
     pub mapping: Option<String>,
     /// The layer of an EXR file.
     pub layer: Option<String>,
-    /// Of the distant panorama: degrees around +Y, after the rotation.
+    /// Degrees around +Y, after the rotation.
     #[serde(default)]
     pub yaw: f64,
 }

@@ -226,7 +226,8 @@ fn rotation_of(entry: &ProbeEntry, imported: &Imported) -> Result<Quat, Fault> {
             entry.image.display()
         )));
     }
-    Ok(rotation.normalize().as_quat())
+    let yaw = DQuat::from_rotation_y(entry.yaw.to_radians());
+    Ok((yaw * rotation.normalize()).normalize().as_quat())
 }
 
 /// The nodes that a configuration asks for.

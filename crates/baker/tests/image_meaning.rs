@@ -412,7 +412,9 @@ fn what_is_rec709_or_says_nothing_keeps_its_bits() {
     for id in ["data", "studio:mine", "lin_awg3_scene"] {
         assert!(finding(&exact(&plain().text("colorInteropID", id), None), "color-interop-id").is_some(), "{id}");
     }
-    let nowhere: Space = [[0.0; 2]; 4];
+    // Zeros say nothing either; a line is no triangle, and told.
+    assert!(exact(&plain(), Some([[0.0; 2]; 4])).findings.is_empty());
+    let nowhere: Space = [[0.1; 2], [0.2; 2], [0.3; 2], D65];
     assert!(finding(&exact(&plain(), Some(nowhere)), "chromaticities").is_some());
     // What this program writes comes back bit for bit, with a distance and with a pose.
     let pixels: Vec<[f32; 3]> = (0..COUNT).map(|i| [1e-3 * i as f32, 1.0 / (1.0 + i as f32), 1e4 * i as f32]).collect();
@@ -493,7 +495,10 @@ fn hdr_primaries_are_converted_and_told() {
     for wrong in ["PRIMARIES=0.64 0.33", "PRIMARIES=a b c d e f g h", "PRIMARIES="] {
         assert!(matches!(hdr(wrong), Err(Error::Invalid { message, .. }) if message.contains(wrong)), "{wrong}");
     }
-    assert!(finding(&hdr(&line_of([[0.0; 2]; 4])).unwrap(), "hdr-primaries").is_some());
+    let zeros = hdr(&line_of([[0.0; 2]; 4])).unwrap();
+    assert!(zeros.image.pixels == [[1.0, 2.0, 0.5]; 2] && zeros.findings.is_empty());
+    let line = hdr(&line_of([[0.1; 2], [0.2; 2], [0.3; 2], D65])).unwrap();
+    assert!(finding(&line, "hdr-primaries").is_some());
 }
 
 #[test]

@@ -92,7 +92,7 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let truths = truth.truths(sets, truth_path)?;
     let comparison = compare(&found, &truths, &settings)
         .map_err(|nothing| Fault::Invalid(format!("{}: {nothing}", found_path.display())))?;
-    let findings = other_levels(found_path, &level, &truths);
+    let findings = other_levels(&found_path.display().to_string(), &level, &truths);
     for finding in &findings {
         eprintln!("gdibl: {}: {}", finding.id, finding.message);
     }
@@ -154,16 +154,14 @@ pub fn read(path: &Path) -> Result<Input, Fault> {
     })
 }
 
-/// Truth of a level by another name than the volume's: the difference is then that of the levels. Names are all that both keep.
-fn other_levels(path: &Path, level: &str, truths: &[Truth]) -> Vec<Finding> {
+/// Truth of a level by another name than that of `who`: the difference is then that of the levels, too. Names are all that both
+/// keep.
+pub fn other_levels(who: &str, level: &str, truths: &[Truth]) -> Vec<Finding> {
     let differs = |truth: &&Truth| !level.is_empty() && !truth.level.is_empty() && truth.level != level;
     let said = |truth: &Truth| {
-        let message = format!(
-            "{} was baked from {level}, and '{}' is the light of {}: the error holds the difference of the levels",
-            path.display(),
-            truth.name,
-            truth.level
-        );
+        let Truth { name, level: other, .. } = truth;
+        let message =
+            format!("{who} is of {level}, and '{name}' of {other}: the error holds what differs between the levels");
         Finding::new("other-level", 1, message)
     };
     truths.iter().filter(differs).map(said).collect()

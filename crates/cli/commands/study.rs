@@ -13,7 +13,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::bake::{bake_settings, check_memory};
-use super::compare::{Kind, read};
+use super::compare::{Kind, other_levels, read};
 use crate::captures::{capture_missing, say};
 use crate::config::{Bands, CaptureFlags, Config, FileFlags, GridFlags, Method, QualityFlags, SkyFlags, set_threads};
 use crate::fault::Fault;
@@ -157,6 +157,10 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let work = plan_work(&arguments, &runner, asked, given.as_ref())?;
     say(&format!("{places}; {}", work.text(&arguments)));
     let progress = Progress::new("directions", work.directions, *quiet);
+    let truths_given = given.as_ref().map_or(&[][..], |given| &given.truths);
+    for finding in other_levels("the study", &super::file_name(&config.level), truths_given) {
+        say(&format!("{}: {}", finding.id, finding.message));
+    }
     let (truths, reference) = match given {
         Some(given) => (given.truths, given.report),
         None => make_reference(&runner, work.reference_samples, &progress)?,

@@ -301,6 +301,7 @@ const NO_LIGHT: &[&str] = &[
     "nn",
     "nx",
     "ao",
+    "occ",
     "occlusion",
     "albedo",
     "position",
@@ -363,6 +364,23 @@ const NO_LIGHT: &[&str] = &[
     "sample",
     "count",
 ];
+/// The same where they are a piece of a longer word: `worldnormal`, `motionvectors`.
+const NO_LIGHT_PIECES: &[&str] = &[
+    "normal",
+    "occlusion",
+    "albedo",
+    "position",
+    "crypto",
+    "depth",
+    "velocity",
+    "motionvec",
+    "roughness",
+    "metalness",
+    "objectid",
+    "materialid",
+    "instanceid",
+    "basecol",
+];
 /// Words of layers that are a share of the light.
 const SHARES: &[&str] = &[
     "diffuse",
@@ -407,6 +425,9 @@ const SHARES: &[&str] = &[
     "selfillum",
     "globalillumination",
 ];
+/// The same where they are a piece of a longer word: `rawdiffuse`, `selfillumination`.
+const SHARE_PIECES: &[&str] =
+    &["diffuse", "specular", "glossy", "subsurface", "emission", "indirect", "reflect", "refract", "illumin"];
 /// Words that make a surface's colour of what would be its share of the light.
 const COLOURS: &[&str] = &["color", "colour", "col", "filter", "base"];
 /// Words that say which of several alike it is.
@@ -423,10 +444,13 @@ fn class_of(layer: &str) -> Class {
 fn class_of_segment(segment: &str) -> Class {
     let words = words_of(segment);
     let has = |list: &[&str]| words.iter().any(|word| list.contains(&word.as_str()));
-    if has(NO_LIGHT) || (has(SHARES) && has(COLOURS)) || has(&["base"]) {
+    let pieces = |list: &[&str]| words.iter().any(|word| list.iter().any(|piece| word.contains(piece)));
+    let share = has(SHARES) || pieces(SHARE_PIECES);
+    let ends = |word: &String| COLOURS.iter().any(|colour| word.ends_with(colour));
+    if has(NO_LIGHT) || pieces(NO_LIGHT_PIECES) || has(&["base"]) || (share && words.iter().any(ends)) {
         return Class::NoLight;
     }
-    if has(SHARES) {
+    if share {
         return Class::Share;
     }
     // Words that name a picture, by the surest of them.
@@ -585,6 +609,10 @@ mod tests {
             ("crypto_asset", Class::NoLight),
             ("cryptomatte", Class::NoLight),
             ("WorldNormal", Class::NoLight),
+            ("worldnormal", Class::NoLight),
+            ("motionvectors", Class::NoLight),
+            ("diffusecolor", Class::NoLight),
+            ("rawdiffuse", Class::Share),
             ("UV", Class::NoLight),
             ("MotionVectors", Class::NoLight),
             ("objectID", Class::NoLight),

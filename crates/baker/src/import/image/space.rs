@@ -289,6 +289,11 @@ pub(super) fn of_primaries(
     primaries: Primaries,
     findings: &mut Vec<Finding>,
 ) -> Option<Conversion> {
+    // Zeros say nothing: panoramas that are widely shared have PRIMARIES=0 0 0 0 0 0 0 0.
+    let Primaries { red, green, blue, white } = primaries;
+    if [red, green, blue, white] == [[0.0; 2]; 4] {
+        return Conversion::new(curve, Space::Primaries(Primaries::REC709));
+    }
     let found = words(&primaries);
     if primaries.to_rec709().is_none() {
         let message =

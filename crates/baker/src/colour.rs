@@ -1,8 +1,8 @@
 //! Colour spaces by their CIE chromaticities, and the way from them to linear Rec.709, gdibl's own.
 //!
-//! A colour c of a linear space is the tristimulus value `X = P · diag(s) · c`: the columns of P are (x, y, 1 - x - y) of the
-//! primaries, and s makes (1, 1, 1) the white point: `P · s = white / y_white`. The white point is adapted with the cone
-//! responses of Bradford (B), so that white stays white:
+//! A colour c of a linear space is the tristimulus value `X = P · diag(s) · c`: the columns of P are (x, y, 1 - x - y)
+//! of the primaries, and s makes (1, 1, 1) the white point: `P · s = white / y_white`. The white point is adapted with
+//! the cone responses of Bradford (B), so that white stays white:
 //!
 //! ```text
 //! rec709 = M709⁻¹ · B⁻¹ · diag(B white_709 / B white) · B · M · c

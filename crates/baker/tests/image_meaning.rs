@@ -1,5 +1,5 @@
-//! What the numbers of an image file mean: which layer is the picture, in which colour space it is, and by which mapping it
-//! shows directions. The files are made here; right values come from the specifications' formulas.
+//! What the numbers of an image file mean: which layer is the picture, in which colour space it is, and by which
+//! mapping it shows directions. The files are made here; right values come from the specifications' formulas.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -285,7 +285,7 @@ fn xyz_of([x, y]: [f64; 2]) -> DVec3 {
     DVec3::new(x / y, 1.0, (1.0 - x - y) / y)
 }
 
-/// SMPTE RP 177, section 3.3: with P the matrix of the primaries' (x, y, z) and W the white's XYZ, NPM = P · diag(P⁻¹ W).
+/// SMPTE RP 177, section 3.3: NPM = P · diag(P⁻¹ W), P being the primaries' (x, y, z) as columns and W the white's XYZ.
 fn to_xyz(space: Space) -> DMat3 {
     let [r, g, b, white] = space;
     let p = DMat3::from_cols_array_2d(&[r, g, b].map(|[x, y]| [x, y, 1.0 - x - y]));

@@ -154,8 +154,8 @@ pub fn read(path: &Path) -> Result<Input, Fault> {
     })
 }
 
-/// Truth of a level by another name than that of `who`: the difference is then that of the levels, too. Names are all that both
-/// keep.
+/// Truth of a level by another name than that of `who`: the difference is then that of the levels, too. Names are all
+/// that both keep.
 pub fn other_levels(who: &str, level: &str, truths: &[Truth]) -> Vec<Finding> {
     let differs = |truth: &&Truth| !level.is_empty() && !truth.level.is_empty() && truth.level != level;
     let said = |truth: &Truth| {

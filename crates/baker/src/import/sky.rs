@@ -55,19 +55,19 @@ pub fn read_sky(source: &SkySource, options: &SkyOptions) -> Result<(Distant, Ve
         SkySource::Constant(radiance) => {
             let [r, g, b] = radiance;
             let name = format!("constant {r},{g},{b}");
-            (name, Panorama::new(1, 1, vec![*radiance], None), DQuat::IDENTITY, Vec::new())
+            (name, Panorama::new(1, 1, vec![*radiance], None), options.rotation, Vec::new())
         }
         SkySource::Image(path) => {
             let imported = read_image(path, &options.read)?;
             let mapping = imported.layout(path, options.mapping)?;
             let panorama = to_lat_long(&imported.image, mapping, None);
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let rotation = options.rotation.or(imported.pose.rotation).unwrap_or(DQuat::IDENTITY);
+            let rotation = options.rotation.or(imported.pose.rotation);
             (name, panorama, rotation, imported.findings)
         }
     };
     let yaw = DQuat::from_rotation_y(options.yaw_degrees.to_radians());
-    let rotation = unit(Path::new(&name), rotation)?;
+    let rotation = unit(Path::new(&name), rotation.unwrap_or(DQuat::IDENTITY))?;
     let rotation: Quat = (yaw * rotation).normalize().as_quat();
     let exposure_stops = options.exposure_stops;
     Ok((Distant { name, rotation, exposure_stops, panorama, without_sun: None }, findings))

@@ -377,9 +377,9 @@ fn copy_lines(
                 continue;
             }
             let at = y as usize * window.width + x as usize;
-            for c in 0..3 {
-                if channels[c] == Some(index) {
-                    image.pixels[at][c] = value;
+            for (sample, channel) in image.pixels[at].iter_mut().zip(channels) {
+                if *channel == Some(index) {
+                    *sample = value;
                 }
             }
             if channels[3] == Some(index)

@@ -1,7 +1,8 @@
 //! Decodes Radiance `.hdr` (`.pic`): the header here, the run-length coded RGBE scan lines by the `image` crate.
 //!
 //! The header's EXPOSURE and COLORCORR have been multiplied into the pixels by whoever wrote the file, each line
-//! once more; dividing by all of them gives radiance back. PRIMARIES and the format XYZE name the colour space ([`space`]).
+//! once more; dividing by all of them gives radiance back. PRIMARIES and the format XYZE name the colour space
+//! ([`space`]).
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, ErrorKind, Read};
@@ -115,7 +116,8 @@ fn read_header(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
                 return Err(Error::unsupported(
                     path,
                     format!(
-                        "the header says FORMAT={value}; expected 32-bit_rle_rgbe or 32-bit_rle_xyze: save it as Radiance RGBE"
+                        "the header says FORMAT={value}; expected 32-bit_rle_rgbe or 32-bit_rle_xyze: save it as \
+                         Radiance RGBE"
                     ),
                 ));
             }
@@ -154,9 +156,9 @@ fn read_header(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
 /// Lumens per watt of white light in Radiance (WHTEFFICACY of its `color.h`).
 const WHITE_EFFICACY: f64 = 179.0;
 
-/// The conversion of a picture in XYZ. Radiance's XYZ has the equal-energy white, and is in lumens where RGB is in watts:
-/// `ra_xyze` writes EXPOSURE=5.5866e-03, 1/179, when it makes XYZ of RGB. A file without any EXPOSURE is not of such a program,
-/// and its numbers are taken as they are.
+/// The conversion of a picture in XYZ. Radiance's XYZ has the equal-energy white, and is in lumens where RGB is in
+/// watts: `ra_xyze` writes EXPOSURE=5.5866e-03, 1/179, when it makes XYZ of RGB. A file without any EXPOSURE is not of
+/// such a program, and its numbers are taken as they are.
 fn of_xyz(photometric: bool, findings: &mut Vec<Finding>) -> Conversion {
     let place = "the header line FORMAT=32-bit_rle_xyze";
     let conversion = space::of_primaries("hdr-xyz", place, Curve::Linear, Primaries::XYZ, findings);

@@ -1,8 +1,8 @@
 //! Which layer of an EXR file is the picture, and where the distance of its pixels is.
 //!
-//! A layer is named by its part and by what stands before the last dot of its channels: part `ViewLayer.Combined` with the
-//! channel `ViewLayer.Combined.R`, or part `beauty` with the channel `R`. No specification says which layer is the picture, so
-//! names decide, as programs write them; the last segment that says something counts:
+//! A layer is named by its part and by what stands before the last dot of its channels: part `ViewLayer.Combined` with
+//! the channel `ViewLayer.Combined.R`, or part `beauty` with the channel `R`. No specification says which layer is the
+//! picture, so names decide, as programs write them; the last segment that says something counts:
 //!
 //! | class | names, among others |
 //! |---|---|
@@ -12,8 +12,8 @@
 //! | a share of the light | `diffuse`, `Emission`, `direct`: never taken unasked |
 //! | no light | normals, occlusion, albedo, position, ids, masks: never taken unasked |
 //!
-//! Of the best class there is, the best name, then the first in the file. Where another layer could be meant, a finding says
-//! which was taken.
+//! Of the best class there is, the best name, then the first in the file. Where another layer could be meant, a finding
+//! says which was taken.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -175,13 +175,14 @@ fn most_likely<'a>(
         return Err(Error::unsupported(
             path,
             format!(
-                "none of its layers is the whole light; found {}: save the panorama with R, G and B without a layer, or \
-                 take one all the same by its name (--layer NAME)",
+                "none of its layers is the whole light; found {}: save the panorama with R, G and B without a layer, \
+                 or take one all the same by its name (--layer NAME)",
                 list(candidates)
             ),
         ));
     }
-    // The picture without a name is what all programs show; a share of light is not meant by who saves a picture beside it.
+    // The picture without a name is what all programs show; a share of light is not meant by who saves a picture beside
+    // it.
     let rival = |other: &&Candidate| {
         let most = if chosen.class == Class::Picture(0) { Class::Unknown } else { Class::Share };
         !std::ptr::eq(*other, chosen)
@@ -464,7 +465,8 @@ fn class_of_segment(segment: &str) -> Class {
     }
 }
 
-/// The words of a name in lower case: `DiffCol` is diff, col; `CryptoObject00` is crypto, object; `rgba_left` is rgba, left.
+/// The words of a name in lower case: `DiffCol` is diff, col; `CryptoObject00` is crypto, object; `rgba_left` is rgba,
+/// left.
 fn words_of(segment: &str) -> Vec<String> {
     let mut words: Vec<String> = vec![String::new()];
     let mut before = ' ';
@@ -482,7 +484,8 @@ fn words_of(segment: &str) -> Vec<String> {
     words
 }
 
-/// Where the distance of the picture's pixels is: in its layer, in its part, or in a part beside it that shows the same.
+/// Where the distance of the picture's pixels is: in its layer, in its part, or in a part beside it that shows the
+/// same.
 fn distance_of(headers: &[Header], chosen: &Candidate, findings: &mut Vec<Finding>) -> Option<(usize, usize)> {
     let header = &headers[chosen.part];
     let names: Vec<String> = header.channels.list.iter().map(|c| c.name.to_string()).collect();

@@ -16,7 +16,7 @@
 //! | `distance-not-read` | a part beside the picture holds distances, but not of the picture's pixels |
 //! | `chromaticities`, `hdr-primaries`, `hdr-xyz` | the light was converted from these primaries to linear Rec.709 |
 //! | `hdr-lumens` | the light of a `.hdr` in XYZ was divided by 179 lumens per watt |
-//! | `color-interop-id` | the light was converted from what `colorInteropID` says; or that says no space that is known |
+//! | `color-interop-id` | the light was converted from what `colorInteropID` says; or it is not known |
 //! | `color-space-conflict` | `colorInteropID` and chromaticities contradict each other; the ID counts |
 //! | `outside-gamut` | so many pixels have colours outside of Rec.709: their channels below 0 became 0 |
 //! | `hdr-gamma` | a `.hdr` header names a GAMMA other than 1; its numbers are used as they are |
@@ -56,8 +56,8 @@ pub struct ReadOptions {
     /// Replace unusable samples instead of refusing the file: NaN and infinity by the mean of their valid
     /// neighbours, negative radiance by 0, an unusable distance by infinity.
     pub repair_pixels: bool,
-    /// The layer of an EXR file to read, by its whole name or its last segments, in any case; `None`: the picture. A file whose
-    /// only picture has no name is read as it is.
+    /// The layer of an EXR file to read, by its whole name or its last segments, in any case; `None`: the picture. A
+    /// file whose only picture has no name is read as it is.
     pub layer: Option<String>,
 }
 
@@ -75,8 +75,8 @@ pub struct Imported {
 }
 
 impl Imported {
-    /// The layout of the image that was read from `path`: what the caller says, else what the file says, else lat-long if the
-    /// image has its shape. An error for any other image, which could be anything.
+    /// The layout of the image that was read from `path`: what the caller says, else what the file says, else lat-long
+    /// if the image has its shape. An error for any other image, which could be anything.
     pub fn layout(&self, path: &Path, said: Option<Mapping>) -> Result<Mapping> {
         let Image { width, height, .. } = self.image;
         // One pixel is the same in all layouts.
@@ -89,8 +89,8 @@ impl Imported {
             return Err(Error::invalid(
                 path,
                 format!(
-                    "the image has {width} x {height} pixels and names no mapping; a lat-long panorama is twice as wide as \
-                     high, and {guess}; say which it is: --distant-mapping NAME, or mapping in a BAKE.toml"
+                    "the image has {width} x {height} pixels and names no mapping; a lat-long panorama is twice as wide \
+                     as high, and {guess}; say which it is: --distant-mapping NAME, or mapping in a BAKE.toml"
                 ),
             ));
         };

@@ -1,10 +1,12 @@
 //! Which colour space a file says that its numbers are in, and their conversion to linear Rec.709.
 //!
-//! An EXR file may say it in three ways. They are asked in the order that the Color Interop Forum recommends (*Identifying the
-//! Color Space of OpenEXR Files*), for chromaticities are often copied from file to file without being true:
+//! An EXR file may say it in three ways. They are asked in the order that the Color Interop Forum recommends
+//! (*Identifying the Color Space of OpenEXR Files*), for chromaticities are often copied from file to file without
+//! being true:
 //!
 //! 1. `acesImageContainerFlag` = 1: ACES 2065-1 (SMPTE ST 2065-4).
-//! 2. `colorInteropID`, `encoding_primaries_state`: `lin_ap1_scene`. `unknown` says nothing; `data` is no colour, and is read
+//! 2. `colorInteropID`, `encoding_primaries_state`: `lin_ap1_scene`. `unknown` says nothing; `data` is no colour, and
+//! is read
 //!    as it is.
 //! 3. `chromaticities`.
 //!
@@ -70,8 +72,8 @@ impl Conversion {
         let outside: u64 = outside.collect::<Result<Vec<u64>>>()?.into_iter().sum();
         if outside > 0 {
             let message = format!(
-                "{outside} pixels have colours that Rec.709 cannot show: their channels below 0 became 0, and they are a \
-                 little brighter than in the file"
+                "{outside} pixels have colours that Rec.709 cannot show: their channels below 0 became 0, and they are \
+                 a little brighter than in the file"
             );
             findings.push(Finding::new("outside-gamut", outside, message));
         }
@@ -247,8 +249,8 @@ fn stated_by_exr(
         Id::Known(curve, space) => {
             if let Some(other) = chromaticities.filter(|other| !space.agrees_with(other)) {
                 let message = format!(
-                    "the attribute {id}, and the chromaticities are {}: they contradict each other, and chromaticities count \
-                     less, being copied from file to file more often",
+                    "the attribute {id}, and the chromaticities are {}: they contradict each other, and chromaticities \
+                     count less, being copied from file to file more often",
                     words(&other)
                 );
                 findings.push(Finding::new("color-space-conflict", 1, message));

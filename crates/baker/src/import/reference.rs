@@ -2,8 +2,7 @@
 //!
 //! ```text
 //! { "what": "…",                                 what is no object is for people, but for
-//!   "level": "room.glb",                         the level whose light it is, which may be missing; a set may name its
-//! own
+//!   "level": "room.glb",                         whose light it is; may be missing; a set may name another
 //!   "grid": { "position": [[x, y, z], …],         every object is a set; world metres
 //!             "sh": [[[r, g, b], …], …],          by place and coefficient (1, 4, 9, 16 or 25): radiance as in gdibl
 //!             "standard_error": [[[r, g, b], …], …] },   may be missing

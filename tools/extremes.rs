@@ -822,7 +822,7 @@ fn unusable_pixels(table: &mut Table, folder: &Folder) {
         write_exr(&path, &image, &Pose::default(), Mapping::LatLong, SampleFormat::F32).expect("it writes");
         let message = read_image(&path, &ReadOptions::default()).err().map_or(String::new(), |e| e.to_string());
         let refused = message.contains("x 5, y 3") && message.contains("--repair-pixels");
-        let repaired = read_image(&path, &ReadOptions { repair_pixels: true }).expect("it repairs");
+        let repaired = read_image(&path, &ReadOptions { repair_pixels: true, layer: None }).expect("it repairs");
         let clean = repaired.image.pixels.iter().flatten().all(|v| v.is_finite() && *v >= 0.0);
         let counted = repaired.findings.iter().any(|f| f.id == "repaired-pixels" && f.count == 1);
         holds &= refused && clean && counted;

@@ -10,7 +10,7 @@ use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
 use gdibl_baker::import::gltf::{GltfOptions, read_level};
 use gdibl_baker::import::image::{ReadOptions, read_image};
 use gdibl_baker::import::reference::read_reference;
-use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
+use gdibl_baker::panorama::{Panorama, to_lat_long};
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::{Distant, RadianceFunction};
 use gdibl_baker::scene::Scene;
@@ -38,7 +38,8 @@ pub fn read_truth(lighting: &Path, names: &[&str]) -> Vec<Truth> {
 /// A panorama in its own orientation.
 pub fn read_panorama(path: &Path) -> Panorama {
     let imported = read_image(path, &ReadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
-    to_lat_long(&imported.image, imported.mapping.unwrap_or(Mapping::LatLong), None)
+    let mapping = imported.layout(path, None).unwrap_or_else(|e| panic!("{e}"));
+    to_lat_long(&imported.image, mapping, None)
 }
 
 /// A level, or the end of the tool.

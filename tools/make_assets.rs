@@ -39,7 +39,15 @@ fn main() {
     let distant = read_panorama(&source.join(lighting).join("distant.exr"));
     write(&target.join("distant.exr"), &halved(&distant, DISTANT_WIDTH), &Pose { position: None, rotation: None });
     let reference = std::fs::read_to_string(source.join(lighting).join("reference.json")).expect("the reference");
-    let reference = few_digits(serde_json::from_str(&reference).expect("JSON"));
+    let mut reference = few_digits(serde_json::from_str(&reference).expect("JSON"));
+    for (name, level) in [
+        ("grid", "empty-box.glb"),
+        ("scattered", "empty-box.glb"),
+        ("sphere_irradiance_empty_box", "empty-box.glb"),
+        ("sphere_irradiance_with_spheres", "uffizi-box.glb"),
+    ] {
+        reference[name]["level"] = level.into();
+    }
     std::fs::write(target.join("reference.json"), reference.to_string()).expect("the reference");
 }
 

@@ -8,6 +8,7 @@ use std::time::Instant;
 use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, Placement, capture, place_probes};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
+use gdibl_baker::import::sky::SkySource;
 use gdibl_baker::job::{CapturePlan, Inputs};
 use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
 use gdibl_baker::radiance::Distant;
@@ -15,7 +16,7 @@ use gdibl_baker::radiance::path::{Path as Paths, specular_left_out};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::{Control, Finding};
 
-use crate::config::{Config, ProbeEntry};
+use crate::config::{Config, ProbeEntry, sky_source};
 use crate::fault::Fault;
 use crate::hashes::inputs_of;
 use crate::inputs::{images_of, read_level_and_sky, read_probes};
@@ -207,7 +208,9 @@ fn content_key(config: &Config, settings: &CaptureSettings) -> Result<String, Fa
         part(&input.blake3);
     }
     if let Some(distant) = &config.distant {
-        part(format!("{:?} {:?} {:?}", distant.rotation, distant.exposure_stops, distant.mapping).as_bytes());
+        let ProbeEntry { image, rotation, yaw, exposure_stops, mapping, layer, .. } = distant;
+        let constant = matches!(sky_source(image)?, SkySource::Constant(_)).then_some(image);
+        part(format!("{constant:?} {rotation:?} {yaw:?} {exposure_stops:?} {mapping:?} {layer:?}").as_bytes());
     }
     let asked = &config.settings.capture;
     let path = config.settings.capture_path();

@@ -5,6 +5,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 use gdibl_baker::import::gltf::TextureNeeds;
+use gdibl_baker::import::sky::SkySource;
 use gdibl_baker::job::{Method, NodeKind, Settings};
 
 use crate::fault::Fault;
@@ -23,14 +24,43 @@ pub struct ProbeEntry {
     pub exposure_stops: f32,
     /// How the image maps directions, by name (lat-long, angular, cube-strip …).
     pub mapping: Option<String>,
+    /// The layer of an EXR file.
+    pub layer: Option<String>,
+    /// Degrees around +Y, after the rotation.
+    #[serde(default)]
+    pub yaw: f64,
 }
 
-/// The distant panorama: a path, or a table like a probe's without position.
+/// The distant panorama: a path, the radiance of a sky without a file, or a table like a probe's without position.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
 enum DistantEntry {
     Image(PathBuf),
+    Constant([f32; 3]),
     Placed(ProbeEntry),
+}
+
+impl DistantEntry {
+    /// As a table, its path resolved. A sky without a file has no folder.
+    fn entry(self, folder: &Path) -> Result<ProbeEntry, Fault> {
+        let entry = match self {
+            DistantEntry::Image(image) => ProbeEntry { image, ..ProbeEntry::default() },
+            DistantEntry::Constant([r, g, b]) => {
+                ProbeEntry { image: format!("{r},{g},{b}").into(), ..ProbeEntry::default() }
+            }
+            DistantEntry::Placed(entry) => entry,
+        };
+        let image = match sky_source(&entry.image)? {
+            SkySource::Image(image) => folder.join(image),
+            SkySource::Constant(_) => entry.image,
+        };
+        Ok(ProbeEntry { image, ..entry })
+    }
+}
+
+/// A sky without a file is three numbers.
+pub fn sky_source(image: &Path) -> Result<SkySource, Fault> {
+    image.to_string_lossy().parse().map_err(|why| Fault::Usage(format!("--distant {why}")))
 }
 
 /// A BAKE.toml. The tables of settings are read by the table of settings.
@@ -55,6 +85,8 @@ pub struct Config {
     pub output: PathBuf,
     pub environment: Option<PathBuf>,
     pub distant: Option<ProbeEntry>,
+    /// The layer of all images.
+    pub layer: Option<String>,
     pub probes: Vec<PathBuf>,
     pub placed_probes: Vec<ProbeEntry>,
     pub settings: Settings,
@@ -81,9 +113,55 @@ pub struct LightFlags {
     /// A probe (EXR or HDR with its pose in the header) or a folder of them; repeatable
     #[arg(long, value_name = "PATH")]
     pub probes: Vec<PathBuf>,
-    /// Panorama at infinity: the sky, the street outside
+    /// Panorama at infinity: the sky, the street outside; or R,G,B, the same radiance from everywhere
     #[arg(long, value_name = "IMAGE")]
     pub distant: Option<PathBuf>,
+    #[command(flatten)]
+    pub sky: SkyFlags,
+}
+
+/// How images are read and the distant panorama is turned.
+#[derive(Args, Clone, Debug, Default)]
+pub struct SkyFlags {
+    /// Layer of EXR images to read, by its name or the end of it [default: the picture]
+    #[arg(long, value_name = "NAME")]
+    pub layer: Option<String>,
+    /// How the distant panorama maps directions: lat-long, lat-long-three, lat-long-blender, angular, cube-strip …
+    /// [default: what its file says, else lat-long if it is twice as wide as high]
+    #[arg(long, value_name = "NAME")]
+    pub distant_mapping: Option<String>,
+    /// Turn the distant panorama around +Y by degrees, counter-clockwise as seen from above [default: 0]
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
+    pub distant_yaw: Option<f64>,
+    /// Make the distant panorama brighter by stops: 1 doubles its light [default: 0]
+    #[arg(long, value_name = "STOPS", allow_hyphen_values = true)]
+    pub distant_exposure: Option<f32>,
+}
+
+impl SkyFlags {
+    /// Lets the flags win.
+    fn apply(&self, distant: Option<&mut ProbeEntry>) -> Result<(), Fault> {
+        let stray = self.distant_mapping.is_some() || self.distant_yaw.is_some() || self.distant_exposure.is_some();
+        let Some(entry) = distant else {
+            return match stray {
+                true => Err(Fault::Usage("--distant-…: there is no distant panorama; give --distant IMAGE".into())),
+                false => Ok(()),
+            };
+        };
+        for (flag, found) in [
+            ("yaw", self.distant_yaw.map(|v| v.abs() <= 36000.0)),
+            ("exposure", self.distant_exposure.map(|v| v.abs() <= 100.0)),
+        ] {
+            if found == Some(false) {
+                return Err(Fault::Usage(format!("--distant-{flag}: expected up to 36000 degrees or 100 stops")));
+            }
+        }
+        entry.layer = self.layer.clone().or(entry.layer.take());
+        entry.mapping = self.distant_mapping.clone().or(entry.mapping.take());
+        entry.yaw = self.distant_yaw.unwrap_or(entry.yaw);
+        entry.exposure_stops = self.distant_exposure.unwrap_or(entry.exposure_stops);
+        Ok(())
+    }
 }
 
 impl FileFlags {
@@ -108,18 +186,21 @@ impl Config {
         let Some(level) = file.level.take() else {
             return Err(Fault::Invalid(format!("{}: names no level; add: level = \"LEVEL.glb\"", input.display())));
         };
-        let distant = file.distant.map(|distant| match distant {
-            DistantEntry::Image(image) => ProbeEntry { image: folder.join(image), ..ProbeEntry::default() },
-            DistantEntry::Placed(entry) => ProbeEntry { image: folder.join(&entry.image), ..entry },
-        });
+        let LightFlags { probes, distant: by_flag, sky } = files.light;
+        let distant = file.distant.map(|distant| distant.entry(&folder)).transpose()?;
+        let mut distant = by_flag.map(|image| ProbeEntry { image, ..ProbeEntry::default() }).or(distant);
+        sky.apply(distant.as_mut())?;
+        for probe in &mut file.probe {
+            probe.layer = sky.layer.clone().or(probe.layer.take());
+        }
         // Probes named on the command line replace the file's.
-        let LightFlags { probes, distant: by_flag } = files.light;
         let (probes, placed_probes) = if probes.is_empty() { (file.probes, file.probe) } else { (probes, Vec::new()) };
         Ok(Config {
             output: files.output.or(file.output).unwrap_or_else(|| input.with_extension("gdibl")),
             level,
             environment: files.environment.or(file.environment),
-            distant: by_flag.map(|image| ProbeEntry { image, ..ProbeEntry::default() }).or(distant),
+            distant,
+            layer: sky.layer,
             probes,
             placed_probes,
             settings,

@@ -4,15 +4,15 @@ use glam::{DQuat, DVec3, Quat, Vec3};
 use std::path::{Path, PathBuf};
 
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
-use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
+use gdibl_baker::import::image::{Imported, ReadOptions, is_image, read_image};
+use gdibl_baker::import::sky::{SkyOptions, read_sky};
 use gdibl_baker::job::{Inputs, Memory, NodeKind, Settings};
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
-use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
 use gdibl_baker::scene::Scene;
 
-use crate::config::{Config, ProbeEntry, file_name};
+use crate::config::{Config, ProbeEntry, file_name, sky_source};
 use crate::fault::Fault;
 use crate::hashes::inputs_of;
 
@@ -54,15 +54,16 @@ pub fn read_level_and_sky(config: &Config, textures: TextureNeeds) -> Result<Inp
     let level = config.level.display().to_string();
     let mut inputs = Inputs { findings, level, program: PROGRAM.map(String::from), ..Inputs::new(scene) };
     if let Some(entry) = &config.distant {
-        let (imported, panorama) = read_panorama(entry, config)?;
-        inputs.findings.extend(imported.findings.iter().cloned());
-        inputs.distant = Some(Distant {
-            name: file_name(&entry.image),
-            rotation: rotation_of(entry, &imported)?,
+        let options = SkyOptions {
+            read: read_options(entry, config),
+            mapping: mapping_of(entry)?,
+            rotation: entry.rotation.map(DQuat::from_array),
+            yaw_degrees: entry.yaw,
             exposure_stops: entry.exposure_stops,
-            panorama,
-            without_sun: None,
-        });
+        };
+        let (distant, findings) = read_sky(&sky_source(&entry.image)?, &options)?;
+        inputs.findings.extend(findings);
+        inputs.distant = Some(distant);
     }
     Ok(inputs)
 }
@@ -96,7 +97,7 @@ fn probe_entries(config: &Config, scene: &Scene) -> Result<Vec<ProbeEntry>, Faul
     let mut entries = config.placed_probes.clone();
     for path in &config.probes {
         for image in images_of(path)? {
-            entries.push(ProbeEntry { image, ..ProbeEntry::default() });
+            entries.push(ProbeEntry { image, layer: config.layer.clone(), ..ProbeEntry::default() });
         }
     }
     if entries.is_empty() {
@@ -120,29 +121,33 @@ pub fn images_of(path: &Path) -> Result<Vec<PathBuf>, Fault> {
     for entry in std::fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
         let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
-        if extension == "exr" || extension == "hdr" {
+        if extension == "exr" || extension == "hdr" || (file.is_file() && is_image(&file)?) {
             images.push(file);
         }
     }
     images.sort();
     if images.is_empty() {
-        return Err(Fault::Invalid(format!("{}: this folder holds no .exr or .hdr file", path.display())));
+        return Err(Fault::Invalid(format!("{}: this folder holds no EXR or HDR image", path.display())));
     }
     Ok(images)
 }
 
+fn read_options(entry: &ProbeEntry, config: &Config) -> ReadOptions {
+    ReadOptions { repair_pixels: config.settings.quality.repair_pixels, layer: entry.layer.clone() }
+}
+
+fn mapping_of(entry: &ProbeEntry) -> Result<Option<Mapping>, Fault> {
+    let Some(name) = &entry.mapping else { return Ok(None) };
+    let mapping = Mapping::parse(name).ok_or_else(|| {
+        let names = Mapping::ALL.map(Mapping::name).join(", ");
+        Fault::Usage(format!("{}: no mapping is called '{name}'; there are {names}", entry.image.display()))
+    })?;
+    Ok(Some(mapping))
+}
+
 fn read_panorama(entry: &ProbeEntry, config: &Config) -> Result<(Imported, Panorama), Fault> {
-    let options = ReadOptions { repair_pixels: config.settings.quality.repair_pixels };
-    let imported = read_image(&entry.image, &options)?;
-    let mapping = match &entry.mapping {
-        Some(name) => Mapping::parse(name).ok_or_else(|| {
-            let names = Mapping::ALL.map(Mapping::name).join(", ");
-            Fault::Usage(format!("{}: no mapping is called '{name}'; there are {names}", entry.image.display()))
-        })?,
-        None => imported.mapping.unwrap_or(Mapping::LatLong),
-    };
-    let (width, height) = (imported.image.width, imported.image.height);
-    mapping.check_shape(width, height).map_err(|why| Fault::Invalid(format!("{}: {why}", entry.image.display())))?;
+    let imported = read_image(&entry.image, &read_options(entry, config))?;
+    let mapping = imported.layout(&entry.image, mapping_of(entry)?)?;
     let panorama = to_lat_long(&imported.image, mapping, None);
     Ok((imported, panorama))
 }
@@ -156,7 +161,8 @@ fn rotation_of(entry: &ProbeEntry, imported: &Imported) -> Result<Quat, Fault> {
             entry.image.display()
         )));
     }
-    Ok(rotation.normalize().as_quat())
+    let yaw = DQuat::from_rotation_y(entry.yaw.to_radians());
+    Ok((yaw * rotation.normalize()).normalize().as_quat())
 }
 
 /// Rows of a CSV of places.

@@ -83,7 +83,7 @@ fn main() -> ExitCode {
         Verb::Render(arguments) => commands::render::run(*arguments, &session),
         Verb::Export(arguments) => commands::export::run(arguments),
         Verb::Cut(arguments) => commands::cut::run(arguments),
-        Verb::Compare(arguments) => commands::compare::run(arguments),
+        Verb::Compare(arguments) => commands::compare::run(arguments, &session),
         Verb::Study(arguments) => commands::study::run(*arguments, &session),
     };
     ExitCode::from(finish(&session, done, json))

@@ -172,3 +172,40 @@ fn without_standard_errors_noise_is_not_known_and_the_report_says_whose() {
     let text = folder.ok(&["compare", "a.gdibl", "truth.json"]);
     assert!(text.contains("not known: truth.json holds no standard errors"), "{text}");
 }
+
+#[test]
+fn truth_of_another_level_is_said() {
+    let folder = Folder::new();
+    room(&folder, "a.gdibl", 1.0, &[&GRID[..], &["16"]].concat());
+    let reference = |level: &str| {
+        let set = json!({ "position": [[0, 0, 0]], "sh": [[[1, 1, 1]]] });
+        let mut reference = json!({ "what": "one place", "set": set });
+        if !level.is_empty() {
+            reference["level"] = json!(level);
+        }
+        folder.write("truth.json", reference.to_string());
+    };
+    for (level, said) in [("", false), ("room.glb", false), ("hall.glb", true)] {
+        reference(level);
+        let run = folder.run(&["compare", "a.gdibl", "truth.json", "--json"]);
+        let report: Value = serde_json::from_str(&run.out).unwrap();
+        assert_eq!(
+            (report["findings"][0]["id"] == "other-level", run.err.contains("other-level")),
+            (said, said),
+            "{level}"
+        );
+    }
+    let text = folder.ok(&["compare", "a.gdibl", "truth.json"]);
+    assert!(text.contains("room.glb") && text.contains("hall.glb"), "{text}");
+    // A volume remembers its level.
+    folder.write("hall.glb", folder.read("room.glb"));
+    let common = ["hall.glb", "--probes", "probe.exr", "--precision", "f32", "-o", "b.gdibl"];
+    folder.bake(&[&common[..], &GRID, &["16"]].concat());
+    assert_eq!(compare(&folder, &["a.gdibl", "b.gdibl"])["findings"][0]["id"], "other-level");
+    assert_eq!(compare(&folder, &["a.gdibl", "a.gdibl"])["findings"], json!([]));
+    // The shipped reference knows the levels of its sets.
+    let reference = shipped_box(&folder, &["--nodes", "points:truth.csv", "--samples", "16"]);
+    assert_eq!(compare(&folder, &["box.gdibl", &reference])["findings"], json!([]));
+    let spheres = compare(&folder, &["box.gdibl", &reference, "--set", "grid", "--set", "scattered"]);
+    assert_eq!(spheres["findings"], json!([]));
+}

@@ -21,5 +21,6 @@ mod reader;
 mod records;
 mod render;
 mod settings;
+mod sky;
 mod study;
 mod sun;

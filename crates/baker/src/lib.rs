@@ -41,6 +41,7 @@ pub mod analyse;
 mod angle;
 pub mod bake;
 pub mod capture;
+mod colour;
 mod control;
 pub mod cut;
 pub mod error;

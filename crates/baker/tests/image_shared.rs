@@ -9,8 +9,8 @@ use gdibl_baker::import::image::{Imported, ReadOptions, read_image};
 use gdibl_baker::panorama::{Mapping, to_lat_long};
 use glam::Vec3;
 
-const STRICT: ReadOptions = ReadOptions { repair_pixels: false };
-const REPAIR: ReadOptions = ReadOptions { repair_pixels: true };
+const STRICT: ReadOptions = ReadOptions { repair_pixels: false, layer: None };
+const REPAIR: ReadOptions = ReadOptions { repair_pixels: true, layer: None };
 
 /// The folder of shared inputs: `GDIBL_SHARED`, or `shared/inputs` beside the repository.
 fn shared(folder: &str) -> Option<PathBuf> {

@@ -11,7 +11,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use crate::captures::{CapturedProbe, Place, capture_all, places};
-use crate::config::{Config, FileFlags, LightFlags, set_threads};
+use crate::config::{Config, FileFlags, LightFlags, SkyFlags, set_threads};
 use crate::fault::Fault;
 use crate::flags::{OfCaptures, SettingFlags};
 use crate::inputs::read_level_and_sky;
@@ -25,9 +25,11 @@ pub struct Arguments {
     /// (extras.gdibl_probe) go where it names them]
     #[arg(short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
-    /// Panorama at infinity: the sky, the street outside
+    /// Panorama at infinity: the sky, the street outside; or R,G,B, the same radiance from everywhere
     #[arg(long, value_name = "IMAGE")]
     distant: Option<PathBuf>,
+    #[command(flatten)]
+    sky: SkyFlags,
     #[command(flatten)]
     settings: SettingFlags<OfCaptures>,
     /// Layout of the images: lat-long, angular, cube-exr, cube-strip, cube-cross-horizontal, cube-cross-vertical …
@@ -66,7 +68,7 @@ fn parse_mapping(text: &str) -> Result<Mapping, String> {
 
 pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let started = Instant::now();
-    let light = LightFlags { probes: Vec::new(), distant: arguments.distant };
+    let light = LightFlags { probes: Vec::new(), distant: arguments.distant, sky: arguments.sky };
     let config = Config::new(FileFlags::of(&arguments.input, light), &arguments.settings.given)?;
     set_threads(&config.settings)?;
     let settings = config.settings.capture_probes();

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use gdibl_baker::Finding;
 use gdibl_baker::analyse::{
     Answer, CompareSettings, Comparison, IrradianceError, NoiseUnknown, Truth, choose_sets, compare,
 };
@@ -12,7 +13,7 @@ use gdibl_runtime::format::{self, MAGIC};
 use serde::Serialize;
 
 use crate::fault::Fault;
-use crate::session::Outcome;
+use crate::session::{Outcome, Session};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -49,6 +50,8 @@ pub struct Input {
     pub light: Kind,
     /// Of a volume.
     pub seed: Option<u64>,
+    /// File name of the level that a volume was baked from; empty where it is not known.
+    pub level: String,
     pub deringed: bool,
 }
 
@@ -61,14 +64,14 @@ impl Input {
     /// Its sets that have one of these names.
     pub fn truths(self, sets: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {
         let truths = match self.light {
-            Kind::Volume(volume) => vec![Truth::of_volume(&volume)],
+            Kind::Volume(volume) => vec![Truth { level: self.level, ..Truth::of_volume(&volume) }],
             Kind::Reference(truths) => truths,
         };
         chosen(truths, sets, path)
     }
 }
 
-pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
+pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let Arguments { found: found_path, truth: truth_path, sets, tolerance } = &arguments;
     if let Some(tolerance) = tolerance.filter(|tolerance| !(*tolerance >= 0.0 && tolerance.is_finite())) {
         return Err(Fault::Usage(format!("--tolerance {tolerance}: must be a share, at least 0 (0.01 is 1 %)")));
@@ -76,6 +79,7 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
     let (found, truth) = (read(found_path)?, read(truth_path)?);
     let settings = CompareSettings { common_seed: found.seed.is_some() && found.seed == truth.seed };
     let (found_deringed, truth_deringed) = (found.deringed, truth.deringed);
+    let level = found.level;
     let Kind::Volume(found) = found.light else {
         return Err(Fault::Invalid(format!(
             "{}: is a reference; the volume comes first: gdibl compare VOLUME.gdibl REFERENCE.json",
@@ -85,6 +89,7 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
     let truths = truth.truths(sets, truth_path)?;
     let comparison = compare(&found, &truths, &settings)
         .map_err(|nothing| Fault::Invalid(format!("{}: {nothing}", found_path.display())))?;
+    session.find(&other_levels(&found_path.display().to_string(), &level, &truths));
     let relative_rmse = comparison.all.relative_rmse;
     let within_tolerance = tolerance.map(|tolerance| relative_rmse <= tolerance);
     let [found, truth] = [found_path, truth_path].map(|path| path.display().to_string());
@@ -102,7 +107,8 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
 pub fn read(path: &Path) -> Result<Input, Fault> {
     let bytes = super::read_volume_bytes(path)?;
     if is_json(&bytes) {
-        return Ok(Input { light: Kind::Reference(parse_reference(path, &bytes)?), seed: None, deringed: false });
+        let light = Kind::Reference(parse_reference(path, &bytes)?);
+        return Ok(Input { light, seed: None, level: String::new(), deringed: false });
     }
     if !bytes.starts_with(&MAGIC) {
         return Err(Fault::Invalid(format!(
@@ -118,8 +124,22 @@ pub fn read(path: &Path) -> Result<Input, Fault> {
     Ok(Input {
         deringed: volume.header().is_deringed(),
         light: Kind::Volume(Box::new(volume)),
-        seed: settings.map(|settings| settings.seed),
+        seed: settings.as_ref().map(|settings| settings.seed),
+        level: settings.map(|settings| settings.level).unwrap_or_default(),
     })
+}
+
+/// Truth of a level by another name than that of `who`: the difference is then that of the levels, too. Names are all
+/// that both keep.
+pub fn other_levels(who: &str, level: &str, truths: &[Truth]) -> Vec<Finding> {
+    let differs = |truth: &&Truth| !level.is_empty() && !truth.level.is_empty() && truth.level != level;
+    let said = |truth: &Truth| {
+        let Truth { name, level: other, .. } = truth;
+        let message =
+            format!("{who} is of {level}, and '{name}' of {other}: the error holds what differs between the levels");
+        Finding::new("other-level", 1, message)
+    };
+    truths.iter().filter(differs).map(said).collect()
 }
 
 fn chosen(truths: Vec<Truth>, names: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {

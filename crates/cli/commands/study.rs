@@ -13,7 +13,7 @@ use gdibl_baker::pack::write_whole;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::compare::{Kind, read};
+use super::compare::{Kind, other_levels, read};
 use crate::captures::capture_missing;
 use crate::config::{Config, FileFlags, LightFlags, file_name, set_threads};
 use crate::fault::Fault;
@@ -110,6 +110,8 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let work = plan_work(&arguments, &runner, asked, given.as_ref())?;
     say(&format!("{places}; {}", work.text(&arguments)));
     let progress = Progress::new("directions", work.directions, *quiet);
+    let truths = given.as_ref().map_or(&[][..], |given| &given.truths);
+    session.find(&other_levels("the study", &file_name(&config.level), truths));
     let (truths, reference) = match given {
         Some(given) => (given.truths, given.report),
         None => make_reference(&runner, work.reference_samples, &progress)?,

@@ -528,6 +528,7 @@ mod tests {
         let radiance = Truth::of_volume(&with_errors(&points(&[[0.0; 3]]), 0.0));
         let surface = Truth {
             name: "surface".into(),
+            level: String::new(),
             normals: vec![[0.0, 1.0, 0.0]],
             light: TruthLight::Irradiance(vec![[1.0; 3]]),
             noise: TruthNoise::Unknown,

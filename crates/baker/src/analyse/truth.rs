@@ -9,6 +9,8 @@ use super::noise::node_variances;
 pub struct Truth {
     /// How a person tells this set from others.
     pub name: String,
+    /// File name of the level that it is the light of; empty where that is not known.
+    pub level: String,
     /// World metres.
     pub positions: Vec<[f64; 3]>,
     /// Unit normals; empty where places have none.
@@ -52,6 +54,7 @@ impl Truth {
         let nodes = || 0..volume.node_count();
         Truth {
             name: Truth::VOLUME.into(),
+            level: String::new(),
             positions: nodes().map(|n| volume.node_position(n)).collect(),
             normals: nodes().filter_map(|n| volume.node_normal(n)).collect(),
             valid: nodes().map(|n| volume.is_valid(n)).collect(),

@@ -1,5 +1,7 @@
-//! The one place that knows files: levels ([`gltf`]), panoramas ([`image`]) and truth to compare with ([`mod@reference`]).
+//! The one place that knows files: levels ([`gltf`]), panoramas ([`image`]), the sky ([`sky`]) and truth to compare
+//! with ([`mod@reference`]).
 
 pub mod gltf;
 pub mod image;
 pub mod reference;
+pub mod sky;

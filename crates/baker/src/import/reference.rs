@@ -1,7 +1,8 @@
 //! Reads truth to compare with: a JSON of sets of places, as `assets/uffizi-box/reference.json`.
 //!
 //! ```text
-//! { "what": "…",                                 what is no object is for people
+//! { "what": "…",                                 what is no object is for people, but for
+//!   "level": "room.glb",                         whose light it is; may be missing; a set may name another
 //!   "grid": { "position": [[x, y, z], …],         every object is a set; world metres
 //!             "sh": [[[r, g, b], …], …],          by place and coefficient (1, 4, 9, 16 or 25): radiance as in gdibl
 //!             "standard_error": [[[r, g, b], …], …] },   may be missing
@@ -37,7 +38,9 @@ pub fn parse_reference(path: &Path, bytes: &[u8]) -> Result<Vec<Truth>> {
     let fields: Map<String, Value> = serde_json::from_slice(bytes)
         .map_err(|error| Error::invalid(path, format!("{error}: expected a JSON object of sets of places")))?;
     let sets = fields.iter().filter_map(|(name, value)| Some((name, value.as_object()?)));
-    let truths = sets.map(|(name, fields)| SetReader { path, name, fields }.read()).collect::<Result<Vec<Truth>>>()?;
+    let truths = sets
+        .map(|(name, set)| SetReader { path, name, fields: set, all: &fields }.read())
+        .collect::<Result<Vec<Truth>>>()?;
     if truths.is_empty() {
         let message = "holds no set of places: expected objects with 'position', and 'sh' or 'normal' and 'irradiance'";
         return Err(Error::invalid(path, message));
@@ -50,6 +53,8 @@ struct SetReader<'a> {
     path: &'a Path,
     name: &'a str,
     fields: &'a Map<String, Value>,
+    /// The fields beside the sets.
+    all: &'a Map<String, Value>,
 }
 
 impl SetReader<'_> {
@@ -76,7 +81,9 @@ impl SetReader<'_> {
             };
             (self.normals(places)?, light, noise)
         };
-        Ok(Truth { name: self.name.into(), positions, normals, valid: Vec::new(), light, noise })
+        let level = self.fields.get("level").or_else(|| self.all.get("level")).and_then(Value::as_str);
+        let level = level.unwrap_or_default().to_string();
+        Ok(Truth { name: self.name.into(), level, positions, normals, valid: Vec::new(), light, noise })
     }
 
     fn normals(&self, places: usize) -> Result<Vec<[f32; 3]>> {
@@ -205,6 +212,16 @@ mod tests {
         assert_eq!(truths[1].light, TruthLight::Radiance(nodes.into()));
         let errors = [[0.0, 0.5, 0.0], [0.1, 0.0, 0.0]].map(|rgb| radiance_sh(0, [rgb]));
         assert_eq!(truths[1].noise, TruthNoise::Radiance(errors.into()));
+    }
+
+    #[test]
+    fn level_is_that_of_the_set_or_of_all() {
+        let mut named = reference();
+        assert!(parse(&named).unwrap().iter().all(|truth| truth.level.is_empty()));
+        named["level"] = json!("room.glb");
+        named["ball"]["level"] = json!("ball.glb");
+        let levels: Vec<String> = parse(&named).unwrap().into_iter().map(|truth| truth.level).collect();
+        assert_eq!(levels, ["ball.glb", "room.glb"]);
     }
 
     #[test]

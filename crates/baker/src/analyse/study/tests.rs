@@ -67,6 +67,7 @@ fn volume(light: &[RadianceSh]) -> Volume {
 fn truth(standard_error: f32) -> Truth {
     Truth {
         name: "truth".into(),
+        level: String::new(),
         positions: positions(),
         normals: Vec::new(),
         valid: Vec::new(),

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::pose::Pose;
+use super::space::Conversion;
 use crate::panorama::{Image, Mapping};
 use crate::{Error, Finding, Result};
 
@@ -18,6 +19,8 @@ pub(super) struct Decoded {
     pub half_float: [bool; 3],
     pub pose: Pose,
     pub mapping: Option<Mapping>,
+    /// What makes linear Rec.709 of the pixels; `None` where they are.
+    pub conversion: Option<Conversion>,
     pub findings: Vec<Finding>,
 }
 

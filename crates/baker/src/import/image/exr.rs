@@ -1,12 +1,12 @@
 //! Decodes OpenEXR through the `exr` crate's blocks, without trusting a number of the header.
 //!
-//! Steps: read the metadata; choose the part and the channels; cap what the header claims; read the blocks of the
+//! Steps: read the metadata; choose the layer ([`layers`]); cap what the header claims; read the blocks of the
 //! full-resolution level, a batch at a time; decompress a batch in parallel; copy its lines; require that every
 //! pixel came exactly once.
 
 use std::collections::HashSet;
 use std::fs::File;
-use std::io::{BufReader, ErrorKind, Seek, SeekFrom};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use ::exr::block::UncompressedBlock;
@@ -23,6 +23,7 @@ use rayon::prelude::*;
 
 use super::decoded::{Decoded, check_size, guard};
 use super::pose::{self, Pose};
+use super::{layers, space};
 use crate::panorama::{Image, Mapping};
 use crate::{Error, Finding, Result};
 
@@ -36,19 +37,26 @@ const BATCH_BYTES: usize = 32 << 20;
 /// A display window this many times as large as the data in it is a mistake.
 const MOST_BLACK: u64 = 16;
 
-/// Decodes the first part that has R, G and B (or only Y).
-pub(super) fn decode(path: &Path, file: &File, length: u64) -> Result<Decoded> {
-    guard(path, || decode_unguarded(path, file, length))
+/// Decodes the picture: the layer that is asked for, or the one that [`layers`] takes.
+pub(super) fn decode(path: &Path, file: &File, length: u64, layer: Option<&str>) -> Result<Decoded> {
+    guard(path, || decode_unguarded(path, file, length, layer))
 }
 
-fn decode_unguarded(path: &Path, mut file: &File, length: u64) -> Result<Decoded> {
-    let metadata =
-        MetaData::read_from_buffered(BufReader::new(file), false).map_err(|e| convert_error(path, "its header", e))?;
-    let (part, channels) = choose_channels(path, &metadata)?;
-    check_claims(path, &metadata, part, length)?;
+fn decode_unguarded(path: &Path, file: &File, length: u64, layer: Option<&str>) -> Result<Decoded> {
+    let metadata = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|error| {
+        // A compression that the crate does not know looks to it like one that is missing.
+        unknown_compression(path, file).unwrap_or_else(|| convert_error(path, "its header", error))
+    })?;
+    let mut findings = Vec::new();
+    let channels = layers::choose(path, &metadata, layer, &mut findings)?;
+    let part = channels.part;
+    let beside = channels.distance.map(|(part, _)| part).filter(|beside| *beside != part);
+    for part in std::iter::once(part).chain(beside) {
+        check_claims(path, &metadata, part, length)?;
+        refuse_compression(path, metadata.headers[part].compression)?;
+    }
     let header = &metadata.headers[part];
 
-    let mut findings = Vec::new();
     let mapping = header.own_attributes.environment_map.map(|kind| match kind {
         EnvironmentMap::LatitudeLongitude => Mapping::LatLong,
         EnvironmentMap::Cube => Mapping::CubeExr,
@@ -56,100 +64,99 @@ fn decode_unguarded(path: &Path, mut file: &File, length: u64) -> Result<Decoded
     let mapping = mapping.or(pose::mapping(path, header)?);
     let pose: Pose = pose::read(path, header, &mut findings)?;
     let window = Window::new(path, header, mapping, &mut findings)?;
-    note_chromaticities(header, &mut findings);
+    let conversion = space::of_exr(path, &metadata.headers, part, channels.grey, &mut findings)?;
 
-    let names = channels.indices.map(|index| match index {
-        Some(index) => header.channels.list[index].name.to_string(),
-        None => String::new(),
-    });
-    let half_float = std::array::from_fn(|c| {
-        channels.indices[c].is_some_and(|i| header.channels.list[i].sample_type == SampleType::F16)
-    });
-    file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?;
-    let image = read_pixels(path, file, part, &channels, &window)?;
-    Ok(Decoded { image, channel_names: names, half_float, pose, mapping, findings })
+    let channel = |(part, index): (usize, usize)| &metadata.headers[part].channels.list[index];
+    let [r, g, b] = channels.colour.map(|index| channel((part, index)));
+    let names = [r, g, b].map(|channel| channel.name.to_string());
+    let [red, green, blue] = names;
+    let distance_name = channels.distance.map_or(String::new(), |place| channel(place).name.to_string());
+    let half_float = [r, g, b].map(|channel| channel.sample_type == SampleType::F16);
+
+    // Zeroed memory costs nothing until it is written: a damaged file fails before it has taken much.
+    let count = window.width * window.height;
+    let mut image = Image {
+        width: window.width,
+        height: window.height,
+        pixels: vec![[0.0; 3]; count],
+        distance: channels.distance.map(|_| vec![0.0; count]),
+    };
+    let colour = channels.colour.map(Some);
+    let own = channels.distance.filter(|_| beside.is_none()).map(|(_, index)| index);
+    read_pixels(path, file, part, &[colour[0], colour[1], colour[2], own], &window, &mut image)?;
+    if let Some((part, index)) = channels.distance.filter(|_| beside.is_some()) {
+        read_pixels(path, file, part, &[None, None, None, Some(index)], &window, &mut image)?;
+    }
+    Ok(Decoded {
+        image,
+        channel_names: [red, green, blue, distance_name],
+        half_float,
+        pose,
+        mapping,
+        conversion,
+        findings,
+    })
 }
 
-/// Indices of R, G, B and Z in the channel list of the part; R, G and B are the same for an image of only Y.
-struct Channels {
-    indices: [Option<usize>; 4],
-}
+/// Compressions by their number in a file; the crate decodes those below 10.
+const COMPRESSIONS: [(u8, &str); 4] = [(10, "HTJ2K256"), (11, "HTJ2K32"), (12, "LJ2K"), (13, "ZSTD")];
 
-/// The first part with colour. Channel names are `R`, `layer.R`, in capitals or not.
-fn choose_channels(path: &Path, metadata: &MetaData) -> Result<(usize, Channels)> {
-    for (part, header) in metadata.headers.iter().enumerate() {
-        let Some(channels) = channels_of(header) else { continue };
-        if header.deep {
-            return Err(Error::unsupported(
-                path,
-                "this is a deep EXR (many samples per pixel): flatten it before, e.g. in the compositor that wrote it",
-            ));
-        }
-        // With chroma channels a Y is not the whole picture.
-        if channels.indices[0] == channels.indices[1] && has_chroma(header) {
-            break;
-        }
-        let subsampled = header.channels.list.iter().find(|c| c.sampling != Vec2(1, 1));
-        if let Some(channel) = subsampled {
-            return Err(Error::unsupported(
-                path,
-                format!(
-                    "channel {} stores fewer samples than the image has pixels: save all channels at full resolution",
-                    channel.name
-                ),
-            ));
-        }
-        return Ok((part, channels));
-    }
-    let found: Vec<String> =
-        metadata.headers.iter().flat_map(|header| &header.channels.list).map(|c| c.name.to_string()).take(20).collect();
-    if metadata.headers.iter().any(has_chroma) {
-        return Err(Error::unsupported(
-            path,
-            "this is a luminance-chroma EXR (channels Y, RY, BY): save it again with the channels R, G and B",
-        ));
-    }
-    Err(Error::unsupported(
+fn compression_error(path: &Path, name: &str) -> Error {
+    Error::unsupported(
         path,
-        format!(
-            "no channels R, G and B (alone or as layer.R, layer.G, layer.B) and no luminance Y; found {}: save the \
-             panorama with R, G and B",
-            if found.is_empty() { "none".into() } else { found.join(", ") }
-        ),
-    ))
+        format!("its pixels are compressed with {name}: save it with another compression, e.g. ZIP, PIZ or DWAA"),
+    )
 }
 
-fn has_chroma(header: &Header) -> bool {
-    let has = |suffix: &str| header.channels.list.iter().any(|c| c.name.to_string().rsplit('.').next() == Some(suffix));
-    has("RY") || has("BY")
-}
-
-fn channels_of(header: &Header) -> Option<Channels> {
-    let names: Vec<String> = header.channels.list.iter().map(|c| c.name.to_string()).collect();
-    let exact = |wanted: &str| names.iter().position(|name| name == wanted);
-    let any_case = |wanted: &str| names.iter().position(|name| name.eq_ignore_ascii_case(wanted));
-    // Without a layer first, then the layers in the order of the list.
-    let layers = names.iter().filter_map(|name| name.rfind('.').map(|dot| &name[..=dot]));
-    for layer in std::iter::once("").chain(layers) {
-        let find = |suffix: &str| exact(&format!("{layer}{suffix}"));
-        let colour = |names: [&str; 3]| {
-            let [r, g, b] = names.map(find);
-            Some([r?, g?, b?])
-        };
-        let grey = || find("Y").map(|y| [y; 3]);
-        let Some([r, g, b]) = colour(["R", "G", "B"]).or_else(|| colour(["r", "g", "b"])).or_else(grey) else {
-            continue;
-        };
-        // Z of the layer itself, of the image, or of a depth layer beside it (Blender: ViewLayer.Combined.R,
-        // ViewLayer.Depth.Z).
-        let above = layer.trim_end_matches('.').rfind('.').map_or("", |dot| &layer[..=dot]);
-        let z = any_case(&format!("{layer}Z"))
-            .or_else(|| any_case("Z"))
-            .or_else(|| any_case(&format!("{above}depth.Z")))
-            .or_else(|| any_case("depth.Z"));
-        return Some(Channels { indices: [Some(r), Some(g), Some(b), z] });
+fn refuse_compression(path: &Path, compression: Compression) -> Result<()> {
+    match compression {
+        Compression::HTJ2K256 => Err(compression_error(path, "HTJ2K256")),
+        Compression::HTJ2K32 => Err(compression_error(path, "HTJ2K32")),
+        _ => Ok(()),
     }
-    None
+}
+
+/// Bytes of the longest header that is searched.
+const MAX_HEADER_BYTES: u64 = 16 << 20;
+
+/// The refusal of a compression that the crate does not know, from any part of a header that it could not read.
+fn unknown_compression(path: &Path, mut file: &File) -> Option<Error> {
+    file.seek(SeekFrom::Start(8)).ok()?; // magic number and version
+    let mut reader = BufReader::new(file.take(MAX_HEADER_BYTES));
+    let text = |reader: &mut BufReader<_>| -> Option<Vec<u8>> {
+        let mut text = Vec::new();
+        reader.take(256).read_until(0, &mut text).ok()?;
+        (text.pop() == Some(0)).then_some(text)
+    };
+    // The attributes of all parts: name, type, size, value; an empty name ends a part, two of them the header.
+    let mut ended = false;
+    loop {
+        let name = text(&mut reader)?;
+        if name.is_empty() {
+            if ended {
+                return None;
+            }
+            ended = true;
+            continue;
+        }
+        ended = false;
+        let kind = text(&mut reader)?;
+        let mut size = [0; 4];
+        reader.read_exact(&mut size).ok()?;
+        let size = u32::from_le_bytes(size);
+        if name == b"compression" && kind == b"compression" && size == 1 {
+            let mut number = [0];
+            reader.read_exact(&mut number).ok()?;
+            let [number] = number;
+            if number > 9 {
+                let known = COMPRESSIONS.iter().find(|(known, _)| *known == number);
+                let name = known.map_or(format!("an unknown method, number {number}"), |(_, name)| (*name).into());
+                return Some(compression_error(path, &name));
+            }
+        } else {
+            std::io::copy(&mut (&mut reader).take(size.into()), &mut std::io::sink()).ok()?;
+        }
+    }
 }
 
 /// Refuses what the header claims if the file cannot hold it, or if memory should not.
@@ -241,21 +248,16 @@ impl Window {
     }
 }
 
-fn note_chromaticities(header: &Header, findings: &mut Vec<Finding>) {
-    let Some(c) = header.shared_attributes.chromaticities else { return };
-    let found = [c.red, c.green, c.blue, c.white].map(|v| [v.x(), v.y()]);
-    let rec709 = [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.3127, 0.3290]];
-    let differs = found.as_flattened().iter().zip(rec709.as_flattened()).any(|(a, b)| (a - b).abs() > 2e-3);
-    if differs {
-        findings.push(Finding::new(
-            "chromaticities",
-            1,
-            format!("the primaries and white point are {found:?}, not Rec.709's; the numbers are used as they are"),
-        ));
-    }
-}
-
-fn read_pixels(path: &Path, file: &File, part: usize, channels: &Channels, window: &Window) -> Result<Image> {
+/// Reads channels of one part into the image: R, G, B and the distance, as far as they are in this part.
+fn read_pixels(
+    path: &Path,
+    mut file: &File,
+    part: usize,
+    channels: &[Option<usize>; 4],
+    window: &Window,
+    image: &mut Image,
+) -> Result<()> {
+    file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?;
     let in_pixels = |e| convert_error(path, "its pixels", e);
     let reader = ::exr::block::read(BufReader::new(file), false).map_err(|e| convert_error(path, "its header", e))?;
     let mut chunks = reader
@@ -265,14 +267,6 @@ fn read_pixels(path: &Path, file: &File, part: usize, channels: &Channels, windo
     let header = &metadata.headers[part];
     let (width, height) = (header.layer_size.width(), header.layer_size.height());
 
-    // Zeroed memory costs nothing until it is written: a damaged file fails before it has taken much.
-    let count = window.width * window.height;
-    let mut image = Image {
-        width: window.width,
-        height: window.height,
-        pixels: vec![[0.0; 3]; count],
-        distance: channels.indices[3].map(|_| vec![0.0; count]),
-    };
     let mut places = HashSet::new();
     let mut area = 0;
     let batch = (BATCH_BYTES / header.max_block_byte_size().max(1)).clamp(1, 1024);
@@ -296,7 +290,7 @@ fn read_pixels(path: &Path, file: &File, part: usize, channels: &Channels, windo
                 return Err(Error::invalid(path, "its table of blocks points at a wrong block: the file is damaged"));
             }
             area += index.pixel_size.area();
-            copy_lines(block, header, channels, window, &mut image);
+            copy_lines(block, header, channels, window, image);
         }
     }
     if area != width * height {
@@ -305,7 +299,9 @@ fn read_pixels(path: &Path, file: &File, part: usize, channels: &Channels, windo
             format!("{area} of {} pixels are in the file: it is cut off or damaged", width * height),
         ));
     }
-    if let Some(distance) = &mut image.distance {
+    if channels[3].is_some()
+        && let Some(distance) = &mut image.distance
+    {
         // Nothing was seen where there is no data.
         let inside = |at: i64, size: usize| (0..size as i64).contains(&at);
         for (index, metres) in distance.iter_mut().enumerate() {
@@ -315,7 +311,7 @@ fn read_pixels(path: &Path, file: &File, part: usize, channels: &Channels, windo
             }
         }
     }
-    Ok(image)
+    Ok(())
 }
 
 /// The `exr` crate (1.74.2) takes as much memory as the eleven counters in front of a DWA block ask for, and more
@@ -360,10 +356,16 @@ fn check_dwa_counters(path: &Path, header: &Header, chunk: &Chunk) -> Result<()>
 }
 
 /// Copies the lines of one block that lie in the window.
-fn copy_lines(block: &UncompressedBlock, header: &Header, channels: &Channels, window: &Window, image: &mut Image) {
+fn copy_lines(
+    block: &UncompressedBlock,
+    header: &Header,
+    channels: &[Option<usize>; 4],
+    window: &Window,
+    image: &mut Image,
+) {
     for line in block.lines(&header.channels) {
         let index = line.location.channel;
-        if !channels.indices.contains(&Some(index)) {
+        if !channels.contains(&Some(index)) {
             continue;
         }
         let y = line.location.position.y() as i64 - window.y;
@@ -377,12 +379,12 @@ fn copy_lines(block: &UncompressedBlock, header: &Header, channels: &Channels, w
                 continue;
             }
             let at = y as usize * window.width + x as usize;
-            for c in 0..3 {
-                if channels.indices[c] == Some(index) {
-                    image.pixels[at][c] = value;
+            for (sample, channel) in image.pixels[at].iter_mut().zip(channels) {
+                if *channel == Some(index) {
+                    *sample = value;
                 }
             }
-            if channels.indices[3] == Some(index)
+            if channels[3] == Some(index)
                 && let Some(distance) = &mut image.distance
             {
                 distance[at] = value;

@@ -1,7 +1,8 @@
 //! Decodes Radiance `.hdr` (`.pic`): the header here, the run-length coded RGBE scan lines by the `image` crate.
 //!
 //! The header's EXPOSURE and COLORCORR have been multiplied into the pixels by whoever wrote the file, each line
-//! once more; dividing by all of them gives radiance back.
+//! once more; dividing by all of them gives radiance back. PRIMARIES and the format XYZE name the colour space
+//! ([`space`]).
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, ErrorKind, Read};
@@ -12,6 +13,8 @@ use ::image::{ImageDecoder, ImageError};
 
 use super::decoded::{Decoded, check_size, guard};
 use super::pose::Pose;
+use super::space::{self, Conversion};
+use crate::colour::{Curve, Primaries};
 use crate::panorama::Image;
 use crate::{Error, Finding, Result};
 
@@ -26,6 +29,8 @@ struct Header {
     exposure: [f64; 3],
     /// Bytes up to the first scan line.
     length: u64,
+    /// What makes linear Rec.709 of the pixels; `None` where they are.
+    conversion: Option<Conversion>,
     findings: Vec<Finding>,
 }
 
@@ -65,6 +70,7 @@ pub(super) fn decode(path: &Path, file: &File, length: u64) -> Result<Decoded> {
         half_float: [false; 3],
         pose: Pose::default(),
         mapping: None,
+        conversion: header.conversion,
         findings: header.findings,
     })
 }
@@ -88,28 +94,32 @@ fn read_header(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
     next_line()?; // the signature, which brought us here
     let mut exposure = [1.0f64; 3];
     let mut findings = Vec::new();
+    let mut primaries = None;
+    let mut xyz = false;
+    // XYZ of Radiance is photometric, and its programs say so by a factor that they write into EXPOSURE.
+    let mut photometric = false;
     loop {
         let line = next_line()?;
+        photometric |= line.contains("EXPOSURE") || line.contains("ra_xyze");
         if line.is_empty() {
             break;
         }
         let Some((key, value)) = line.split_once('=') else { continue };
         let value = value.trim();
-        if line.starts_with('#') {
+        // Comments; and, indented, the headers of the pictures that this one was made of.
+        if line.starts_with('#') || line.starts_with([' ', '\t']) {
             continue;
         }
         match key.trim() {
             "FORMAT" if value == "32-bit_rle_rgbe" => {}
-            "FORMAT" if value == "32-bit_rle_xyze" => {
-                return Err(Error::unsupported(
-                    path,
-                    "the pixels are XYZE (FORMAT=32-bit_rle_xyze): convert them with Radiance's `ra_xyze -r`",
-                ));
-            }
+            "FORMAT" if value == "32-bit_rle_xyze" => xyz = true,
             "FORMAT" => {
                 return Err(Error::unsupported(
                     path,
-                    format!("the header says FORMAT={value}; expected 32-bit_rle_rgbe: save it as Radiance RGBE"),
+                    format!(
+                        "the header says FORMAT={value}; expected 32-bit_rle_rgbe or 32-bit_rle_xyze: save it as \
+                         Radiance RGBE"
+                    ),
                 ));
             }
             "EXPOSURE" => {
@@ -120,6 +130,8 @@ fn read_header(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
                 let factors: [f64; 3] = factors(path, &line, value)?;
                 exposure = std::array::from_fn(|c| exposure[c] * factors[c]);
             }
+            // The last one counts, as in Radiance.
+            "PRIMARIES" => primaries = Some(parse_primaries(path, &line, value)?),
             "GAMMA" if value.parse() != Ok(1.0f64) => findings.push(Finding::new(
                 "hdr-gamma",
                 1,
@@ -131,8 +143,48 @@ fn read_header(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
     if exposure.iter().any(|e| !(e.is_finite() && *e > 0.0)) {
         return Err(Error::invalid(path, format!("EXPOSURE and COLORCORR multiply to {exposure:?}; expected > 0")));
     }
+    let conversion = match primaries {
+        _ if xyz => Some(of_xyz(photometric, &mut findings)),
+        Some(primaries) => {
+            space::of_primaries("hdr-primaries", "the header line PRIMARIES", Curve::Linear, primaries, &mut findings)
+        }
+        None => None,
+    };
     let (width, height) = parse_resolution(path, &next_line()?)?;
-    Ok(Header { width, height, exposure, length, findings })
+    Ok(Header { width, height, exposure, length, conversion, findings })
+}
+
+/// Lumens per watt of white light in Radiance (WHTEFFICACY of its `color.h`).
+const WHITE_EFFICACY: f64 = 179.0;
+
+/// The conversion of a picture in XYZ. Radiance's XYZ has the equal-energy white, and is in lumens where RGB is in
+/// watts: `ra_xyze` writes EXPOSURE=5.5866e-03, 1/179, when it makes XYZ of RGB. A file without any EXPOSURE is not of
+/// such a program, and its numbers are taken as they are.
+fn of_xyz(photometric: bool, findings: &mut Vec<Finding>) -> Conversion {
+    let place = "the header line FORMAT=32-bit_rle_xyze";
+    let conversion = space::of_primaries("hdr-xyz", place, Curve::Linear, Primaries::XYZ, findings);
+    let conversion = conversion.expect("XYZ is not Rec.709");
+    if !photometric {
+        return conversion;
+    }
+    let message =
+        format!("{place} means lumens: the light was divided by {WHITE_EFFICACY} lumens per watt, as Radiance does");
+    findings.push(Finding::new("hdr-lumens", 1, message));
+    conversion.scaled(1.0 / WHITE_EFFICACY)
+}
+
+/// `rx ry gx gy bx by wx wy`.
+fn parse_primaries(path: &Path, line: &str, value: &str) -> Result<Primaries> {
+    let numbers: Option<Vec<f64>> = value.split_whitespace().map(|word| word.parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[rx, ry, gx, gy, bx, by, wx, wy]) => {
+            Ok(Primaries { red: [rx, ry], green: [gx, gy], blue: [bx, by], white: [wx, wy] })
+        }
+        _ => Err(Error::invalid(
+            path,
+            format!("the header line `{line}` should have 8 numbers: x and y of red, green, blue and white"),
+        )),
+    }
 }
 
 /// `N` positive numbers.

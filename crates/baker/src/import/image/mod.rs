@@ -12,7 +12,13 @@
 //! | `half-float-clipping` | so many pixels are at 65504, the largest half float: brighter light was cut off |
 //! | `far-distance-escapes` | so many pixels have a finite `Z` beyond 1e9 m, a renderer's "nothing hit" |
 //! | `display-window` | the data window is not the display window: cropped, filled with black, or (almost no overlap) read instead of it |
-//! | `chromaticities` | the file names primaries other than Rec.709; its numbers are used as they are |
+//! | `exr-layer` | this layer of several was taken, or one whose name does not say that it is the picture |
+//! | `distance-not-read` | a part beside the picture holds distances, but not of the picture's pixels |
+//! | `chromaticities`, `hdr-primaries`, `hdr-xyz` | the light was converted from these primaries to linear Rec.709 |
+//! | `hdr-lumens` | the light of a `.hdr` in XYZ was divided by 179 lumens per watt |
+//! | `color-interop-id` | the light was converted from what `colorInteropID` says; or it is not known |
+//! | `color-space-conflict` | `colorInteropID` and chromaticities contradict each other; the ID counts |
+//! | `outside-gamut` | so many pixels have colours outside of Rec.709: their channels below 0 became 0 |
 //! | `hdr-gamma` | a `.hdr` header names a GAMMA other than 1; its numbers are used as they are |
 //! | `world-to-camera` | the matrix gives no pose (not finite, singular, or mirroring) and was ignored |
 
@@ -20,9 +26,11 @@ mod decoded;
 mod exr;
 mod exr_write;
 mod hdr;
+mod layers;
 mod png_write;
 mod pose;
 mod repair;
+mod space;
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -35,13 +43,17 @@ pub use self::png_write::write_png;
 pub use self::pose::Pose;
 pub use self::repair::ReadOptions;
 pub use crate::panorama::Image;
-use crate::panorama::Mapping;
+use crate::panorama::{Mapping, guess_from_aspect};
 use crate::{Error, Finding, Result};
+
+/// First bytes of OpenEXR and of Radiance files.
+const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
+const HDR_MAGIC: &[u8] = b"#?";
 
 /// An image and what its file says about it.
 #[derive(Debug, Clone)]
 pub struct Imported {
-    /// Checked pixels, in the file's own layout; `.hdr` EXPOSURE and COLORCORR are applied.
+    /// Checked pixels in linear Rec.709, in the file's own layout; `.hdr` EXPOSURE and COLORCORR are applied.
     pub image: Image,
     /// Where the probe stood, as far as the file says.
     pub pose: Pose,
@@ -49,6 +61,31 @@ pub struct Imported {
     pub mapping: Option<Mapping>,
     /// What was repaired, ignored or is suspicious.
     pub findings: Vec<Finding>,
+}
+
+impl Imported {
+    /// The layout of the image that was read from `path`: what the caller says, else what the file says, else lat-long
+    /// if the image has its shape. An error for any other image, which could be anything.
+    pub fn layout(&self, path: &Path, said: Option<Mapping>) -> Result<Mapping> {
+        let Image { width, height, .. } = self.image;
+        // One pixel is the same in all layouts.
+        let is_lat_long = width == 2 * height || (width, height) == (1, 1);
+        let Some(mapping) = said.or(self.mapping).or(is_lat_long.then_some(Mapping::LatLong)) else {
+            let guess = match guess_from_aspect(width, height) {
+                Some(guess) => format!("this looks like {}", guess.name()),
+                None => "this is the shape of no mapping: was it cropped?".into(),
+            };
+            return Err(Error::invalid(
+                path,
+                format!(
+                    "the image has {width} x {height} pixels and names no mapping; a lat-long panorama is twice as wide \
+                     as high, and {guess}; say which it is: --distant-mapping NAME, or mapping in a BAKE.toml"
+                ),
+            ));
+        };
+        mapping.check_shape(width, height).map_err(|why| Error::invalid(path, why))?;
+        Ok(mapping)
+    }
 }
 
 /// Reads an EXR or `.hdr` file.
@@ -60,38 +97,30 @@ pub fn read_image(path: &Path, options: &ReadOptions) -> Result<Imported> {
     }
     let mut file = File::open(path).map_err(|e| Error::io(path, e))?;
     let mut start = Vec::new();
-    (&mut file).take(16).read_to_end(&mut start).map_err(|e| Error::io(path, e))?;
+    (&mut file).take(64).read_to_end(&mut start).map_err(|e| Error::io(path, e))?;
     file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?;
 
-    let mut decoded = if start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        exr::decode(path, &file, metadata.len())?
-    } else if start.starts_with(b"#?") {
+    let mut decoded = if start.starts_with(&EXR_MAGIC) {
+        exr::decode(path, &file, metadata.len(), options.layer.as_deref())?
+    } else if start.starts_with(HDR_MAGIC) {
         hdr::decode(path, &file, metadata.len())?
     } else {
         return Err(unknown_type(path, &start));
     };
     repair::check(path, &mut decoded, options)?;
-    let Decoded { image, pose, mapping, findings, .. } = decoded;
+    let Decoded { mut image, pose, mapping, conversion, mut findings, .. } = decoded;
+    if let Some(conversion) = conversion {
+        conversion.apply(path, &mut image, &mut findings)?;
+    }
     Ok(Imported { image, pose, mapping, findings })
 }
 
 fn unknown_type(path: &Path, start: &[u8]) -> Error {
     const EXPECTED: &str = "expected OpenEXR (76 2f 31 01) or Radiance HDR (#?RADIANCE)";
-    let known = [
-        (&b"\x89PNG"[..], "PNG"),
-        (b"\xff\xd8\xff", "JPEG"),
-        (b"II*\0", "TIFF"),
-        (b"MM\0*", "TIFF"),
-        (b"RIFF", "WebP"),
-        (b"DDS ", "DDS"),
-        (b"\xabKTX", "KTX"),
-        (b"PF\n", "PFM"),
-        (b"\0\0\0\x0cJXL ", "JPEG XL"),
-    ];
-    if let Some((_, name)) = known.iter().find(|(magic, _)| start.starts_with(magic)) {
+    if let Some(name) = known_type(start) {
         return Error::unsupported(
             path,
-            format!("this is a {name} file; {EXPECTED}: save the panorama as one of these, in linear radiance"),
+            format!("this is {name} file; {EXPECTED}: save the panorama as one of these, in linear radiance"),
         );
     }
     if start.is_empty() {
@@ -99,4 +128,50 @@ fn unknown_type(path: &Path, start: &[u8]) -> Error {
     }
     let bytes: Vec<String> = start.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
     Error::invalid(path, format!("the file begins with {}; {EXPECTED}", bytes.join(" ")))
+}
+
+/// The type of a file that other programs know, with its article.
+fn known_type(start: &[u8]) -> Option<&'static str> {
+    // ISO base media: size, "ftyp", brand.
+    if start.get(4..8) == Some(b"ftyp") {
+        return Some(match start.get(8..12) {
+            Some(b"avif" | b"avis") => "an AVIF",
+            // Any brand may stand first; the others follow.
+            _ if start.windows(4).any(|brand| brand == b"avif") => "an AVIF",
+            Some(b"heic" | b"heix" | b"hevc" | b"heim" | b"mif1" | b"msf1") => "a HEIF (HEIC or AVIF)",
+            Some(b"jp2 " | b"jpx " | b"jph ") => "a JPEG 2000",
+            _ => "an MP4 or other ISO media",
+        });
+    }
+    let known = [
+        (&b"\x89PNG"[..], "a PNG"),
+        (b"\xff\xd8\xff", "a JPEG"),
+        (b"\0\0\0\x0cjP  ", "a JPEG 2000"),
+        (b"\xff\x4f\xff\x51", "a JPEG 2000"),
+        (b"\0\0\0\x0cJXL ", "a JPEG XL"),
+        (b"\xff\x0a", "a JPEG XL"),
+        (b"II\xbc\x01", "a JPEG XR"),
+        (b"II*\0", "a TIFF"),
+        (b"MM\0*", "a TIFF"),
+        (b"II+\0", "a TIFF"),
+        (b"MM\0+", "a TIFF"),
+        (b"RIFF", "a WebP"),
+        (b"DDS ", "a DDS"),
+        (b"\xabKTX", "a KTX"),
+        (b"PF\n", "a PFM"),
+        (b"Pf\n", "a PFM"),
+        (b"GIF8", "a GIF"),
+        (b"8BPS", "a Photoshop"),
+        (b"BM", "a BMP"),
+        (b"glTF", "a glTF"),
+    ];
+    known.iter().find(|(magic, _)| start.starts_with(magic)).map(|(_, name)| *name)
+}
+
+/// Whether the file at `path` is an image that [`read_image`] knows, by its first bytes.
+pub fn is_image(path: &Path) -> Result<bool> {
+    let mut start = Vec::new();
+    let file = File::open(path).map_err(|e| Error::io(path, e))?;
+    file.take(4).read_to_end(&mut start).map_err(|e| Error::io(path, e))?;
+    Ok(start == EXR_MAGIC || start.starts_with(HDR_MAGIC))
 }

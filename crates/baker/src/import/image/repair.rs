@@ -7,11 +7,14 @@ use crate::panorama::Image;
 use crate::{Error, Finding, Result};
 
 /// How an image is read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ReadOptions {
     /// Replace unusable samples instead of refusing the file: NaN and infinity by the mean of their valid
     /// neighbours, negative radiance by 0, an unusable distance by infinity.
     pub repair_pixels: bool,
+    /// The layer of an EXR file to read, by its whole name or its last segments, in any case; `None`: the picture. A
+    /// file whose only picture has no name is read as it is.
+    pub layer: Option<String>,
 }
 
 /// The largest finite half float.

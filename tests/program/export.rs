@@ -124,7 +124,7 @@ fn constant_light_is_the_same_number_in_every_engine_and_loses_nothing() {
     ] {
         let report = export(&folder, engine, output);
         assert_eq!(report["counts"], json!([3, 2, 2]));
-        assert!(report["error"]["relative_rmse"].as_f64().unwrap() < 2e-3, "{engine}: {report}");
+        assert!(report["loss"]["relative_rmse"].as_f64().unwrap() < 2e-3, "{engine}: {report}");
         let names: Vec<&str> =
             report["files"].as_array().unwrap().iter().map(|f| f["path"].as_str().unwrap()).collect();
         assert_eq!(names, [&[output], companions].concat());
@@ -171,5 +171,5 @@ fn what_cannot_be_exported_ends_with_the_right_code_and_without_a_file() {
     }
     let json = folder.ok(&["export", "points.gdibl", "--to", "json", "-o", "points.json", "--json"]);
     let report: Value = serde_json::from_str(&json).unwrap();
-    assert_eq!((&report["counts"], &report["error"]["relative_rmse"]), (&json!([2, 1, 1]), &json!(0.0)));
+    assert_eq!((&report["counts"], &report["loss"]["relative_rmse"]), (&json!([2, 1, 1]), &json!(0.0)));
 }

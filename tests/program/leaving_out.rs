@@ -138,6 +138,6 @@ fn a_small_file_holds_nothing_for_what_it_does_not_have() {
         ["empty.gltf", "--distant", "sky.exr", "--bounds=0,0,0,9,9,9", "--counts", "9,9,9", "--tolerance", "0.01"];
     let report = folder.bake(&[&even[..], &["-o", "room.gdibl"]].concat());
     assert_eq!(report["nodes"], 1);
-    assert!(!kept(&report, "environment") && !kept(&report, "lines-of-sight") && !kept(&report, "walls"));
+    assert!(!kept(&report, "bounces") && !kept(&report, "capture") && !kept(&report, "walls"));
     assert_eq!(section_ids(&folder), always);
 }

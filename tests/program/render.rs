@@ -125,22 +125,25 @@ fn volume_lights_the_objects_that_an_engine_would_light() {
 }
 
 #[test]
-fn level_without_probes_is_captured_once_for_pictures_and_bakes() {
+fn gdibl_without_probes_captures_once_for_pictures_and_bakes() {
     let folder = Folder::new();
     let mut level = Level::room([-2.0; 3], [2.0; 3]);
     let lamp = level.material(json!({ "emissiveFactor": [1.0, 1.0, 1.0] }));
     level.object(&solid_of([-0.2, 1.5, -0.2], [0.2, 1.7, 0.2]), lamp, json!({}));
     level.write(&folder, "room.glb");
-    folder.write("BAKE.toml", "level = \"room.glb\"\n[capture]\nwidth = 16\nsamples = 4\nmost = 1\n");
+    folder.write(
+        "BAKE.toml",
+        "level = \"room.glb\"\nquality.method = \"gdibl\"\n[capture]\nwidth = 16\nsamples = 4\nmost = 1\n",
+    );
     let first = folder.run(&[&["render", "BAKE.toml", "-o", "a.png"], &SMALL[..]].concat());
-    assert!(first.code == 0 && first.err.contains("captured 1 from the level"), "{}", first.err);
+    assert!(first.code == 0 && first.err.contains("captured 1 probes from the level"), "{}", first.err);
     assert_eq!(folder.names(), ["BAKE.captured", "BAKE.toml", "a.png", "room.glb"]);
     let second = folder.run(&[&["render", "BAKE.toml", "-o", "b.png", "--eye", "1,0,1"], &SMALL[..]].concat());
     assert!(second.code == 0 && !second.err.contains("captured"), "{}", second.err);
     let bake = folder.run(&["bake", "BAKE.toml", "--counts", "2,2,2", "--samples", "16"]);
     assert!(bake.code == 0 && !bake.err.contains("captured"), "{}", bake.err);
-    // Path tracing needs none.
-    let paths = folder.run(&[&["render", "room.glb", "--method", "path", "-o", "c.png"], &SMALL[..]].concat());
+    // Unless it is asked for, paths are traced.
+    let paths = folder.run(&[&["render", "room.glb", "-o", "c.png"], &SMALL[..]].concat());
     assert!(paths.code == 0 && !folder.exists("room.captured"), "{}", paths.err);
 }
 

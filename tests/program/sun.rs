@@ -92,7 +92,7 @@ fn sky_without_a_sun_is_a_finding_and_no_sky_a_wrong_use() {
     assert!(run.err.contains("--distant"), "{}", run.err);
     let run = folder.run(&[&["bake"], &STONE[..], &["--sun", "remove"]].concat());
     assert_eq!(run.code, 2, "{}", run.err);
-    assert!(run.err.contains("include or extract"), "{}", run.err);
+    assert!(run.err.contains("include, extract"), "{}", run.err);
 }
 
 #[test]

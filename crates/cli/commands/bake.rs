@@ -113,8 +113,16 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         plan: records.plan,
         truncation,
         exposure,
-        // The report's own findings are those of the whole run.
-        statistics: StatisticsRecord { findings: Vec::new(), ..statistics },
+        // The report's own findings are those of the whole run. Without probes there is no coverage: null in JSON.
+        statistics: StatisticsRecord {
+            findings: Vec::new(),
+            coverage: if records.probes.iter().any(|probe| probe.position.is_some()) {
+                statistics.coverage
+            } else {
+                f64::NAN
+            },
+            ..statistics
+        },
     };
     let text = text(&report, &place, config.settings.quality.precision);
     Ok(Outcome::new(report, text).missing(missed))
@@ -232,10 +240,12 @@ fn text(report: &Report, place: &Place, precision: Precision) -> String {
             report.cpu_seconds
         ),
         format!("  stages    {}", super::stages_text(&statistics.stages)),
-        format!("  coverage  {:.1} % of what the nodes see, some probe has seen", statistics.coverage * 100.0),
         format!("  error     {}", super::error_text(statistics)),
     ];
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<9} {text}"));
+    if !statistics.coverage.is_nan() {
+        row("coverage", format!("{:.1} % of what the nodes see, some probe has seen", statistics.coverage * 100.0));
+    }
     statistics.sparse.iter().flat_map(super::sparse_lines).for_each(|line| row("between", line));
     statistics.sun.iter().for_each(|sun| row("sun", super::sun_text(sun)));
     statistics.packing.iter().for_each(|packing| row("packed", super::packing_text(packing)));

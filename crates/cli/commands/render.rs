@@ -164,11 +164,13 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
 }
 
 /// The command line and BAKE.toml together. A picture's samples and depth are its own. Captured probes lie beside the
-/// picture.
+/// picture, by the input's name: for pictures from all sides.
 fn config_of(arguments: &Arguments, output: &Path) -> Result<Config, Fault> {
     let mut given = arguments.settings.given.clone();
     given.extend(arguments.depth.map(|depth| Given::new("quality", "scene", format!("recurse:{depth}"))));
-    let files = FileFlags { output: Some(output.into()), ..FileFlags::of(&arguments.input, arguments.light.clone()) };
+    let stem = arguments.input.file_stem().unwrap_or_default();
+    let beside = output.with_file_name(stem).with_extension("gdibl");
+    let files = FileFlags { output: Some(beside), ..FileFlags::of(&arguments.input, arguments.light.clone()) };
     Config::new(files, &given)
 }
 

@@ -42,6 +42,7 @@ pub struct Report {
     /// The highest band of the file; an ambient cube has none.
     pub bands: Option<u32>,
     /// Error of what the main file says, as the engine reads it.
+    #[serde(rename = "loss")]
     pub error: Loss,
     /// Error of every way of writing that was tried, the main file's too. Empty where there is one way only.
     pub variants: Vec<Variant>,

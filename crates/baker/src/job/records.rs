@@ -160,6 +160,7 @@ StatisticsRecord {
     /// The sun whose direct light was left out; `None` where that was not asked for, or no sun found.
     sun: Option<SunRecord>,
     /// What the inputs had that deserves a look.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     findings: Vec<Finding>,
 }
 later {

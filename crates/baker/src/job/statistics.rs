@@ -76,7 +76,12 @@ pub fn findings_of(baked: &Baked, clamp: f32) -> Vec<Finding> {
         );
         Finding::new("dropped-walls", dropped as u64, message)
     });
-    clamped.into_iter().chain(dropped).collect()
+    let is_dark = baked.valid_nodes().all(|node| baked.node(node).iter().all(|value| *value == 0.0));
+    let dark = is_dark.then(|| {
+        let message = "no light reaches any node: is the level closed under its sky, or are its lamps outside of it?";
+        Finding::new("no-light", 1, message)
+    });
+    clamped.into_iter().chain(dropped).chain(dark).collect()
 }
 
 /// Probes, then the distant panorama.

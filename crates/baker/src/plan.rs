@@ -9,7 +9,7 @@ use crate::radiance::exposure::ExposureMatch;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
 use crate::records::SparseRecord;
-use crate::scene::{Alpha, Role, Scene};
+use crate::scene::{Role, Scene};
 
 /// One stage of the bake.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize, bincode::Encode, bincode::Decode)]
@@ -195,7 +195,7 @@ fn emitters(count: usize) -> PlanRow {
 }
 
 fn transparency(scene: &Scene) -> PlanRow {
-    let clear = |mesh: &&crate::scene::Mesh| scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
+    let clear = |mesh: &&crate::scene::Mesh| scene.materials[mesh.material as usize].lets_light_through();
     match scene.meshes.iter().filter(clear).count() {
         0 => PlanRow::new("transparency", false, "every material is opaque"),
         n => PlanRow::new("transparency", true, format!("{n} meshes have holes or let light through")),

@@ -155,6 +155,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     };
     let (sparse_nodes, mut baked, sparse) = found;
     nodes = sparse_nodes.unwrap_or(nodes);
+    bake::check_finite(&nodes, &baked, &inputs.scene)
+        .map_err(|why| Fault::Invalid(format!("{}: {why}", config.level.display())))?;
     let truncations = bands::truncations(&baked);
     if config.quality.sh == Some(Bands::Auto) {
         let within = tolerance.unwrap_or(BANDS_TOLERANCE);

@@ -6,6 +6,7 @@
 mod cells;
 mod directions;
 mod fill;
+mod finite;
 mod gather;
 mod integrate;
 mod irradiance;
@@ -21,6 +22,7 @@ use rayon::prelude::*;
 use std::sync::Mutex;
 
 pub(crate) use cells::Cells;
+pub use finite::check_finite;
 pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 pub use integrate::INTERVAL_95;
@@ -201,6 +203,7 @@ impl Batch {
         settings: &BakeSettings,
         control: &Control,
     ) -> Result<Batch, Interrupted> {
+        let is_whole = median.is_none();
         let mut sites = Sites::find(nodes, numbers, function, control)?;
         let count = sites.numbers.len();
         let open = sites.open(nodes.neighbourhoods(&sites.numbers).into_iter());
@@ -229,6 +232,10 @@ impl Batch {
         Job { nodes, sites: &sites, function, settings, control: &silent }.sample(&out, enough, &mut sampled)?;
         for node in out.into_iter().filter(|node| !is_dark(&sampled, node)) {
             sites.standing[node as usize] = Standing::Open;
+        }
+        // Where no node is in the open, nothing tells a solid of double-sided walls from a dark room: they are in one.
+        if is_whole && !sites.standing.contains(&Standing::Open) {
+            dark.iter().for_each(|node| sites.standing[*node as usize] = Standing::Open);
         }
         for (standing, estimate) in sites.standing.iter_mut().zip(&sampled.estimates) {
             if *standing == Standing::Open && estimate.coverage == 0.0 {

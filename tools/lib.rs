@@ -7,7 +7,7 @@ pub mod least_squares;
 use gdibl_baker::Control;
 use gdibl_baker::analyse::{Truth, choose_sets};
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes, bake};
-use gdibl_baker::import::gltf::{GltfOptions, read_level};
+use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
 use gdibl_baker::import::image::{ReadOptions, read_image};
 use gdibl_baker::import::reference::read_reference;
 use gdibl_baker::panorama::{Panorama, to_lat_long};
@@ -42,9 +42,10 @@ pub fn read_panorama(path: &Path) -> Panorama {
     to_lat_long(&imported.image, mapping, None)
 }
 
-/// A level, or the end of the tool.
+/// A level with all its textures, because tools trace paths in it, or the end of the tool.
 pub fn read_scene(path: &Path) -> Scene {
-    read_level(path, &GltfOptions::default()).unwrap_or_else(|e| panic!("{e}"))
+    let options = GltfOptions { textures: TextureNeeds::All, ..GltfOptions::default() };
+    read_level(path, &options).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// `probe_0.exr` to `probe_2.exr` and `distant.exr` of a lighting of the box.

@@ -215,6 +215,7 @@ fn content_key(config: &Config, settings: &CaptureSettings) -> Result<String, Fa
     let asked = &config.settings.capture;
     let path = config.settings.capture_path();
     part(format!("{settings:?} {path:?} {:?} {:?}", asked.positions, asked.most).as_bytes());
-    part(format!("{:?}", config.settings.quality.repair_pixels).as_bytes());
+    let read = config.settings.gltf(TextureNeeds::All);
+    part(format!("{:?} {read:?}", config.settings.quality.repair_pixels).as_bytes());
     Ok(hasher.finalize().to_hex()[..KEY_DIGITS].to_string())
 }

@@ -60,7 +60,11 @@ pub struct OfReading;
 
 impl Which for OfReading {
     fn has(row: &Row) -> bool {
-        row.section == "quality" && matches!(row.name, "repair_pixels" | "seed" | "threads")
+        row.section == "quality"
+            && matches!(
+                row.name,
+                "repair_pixels" | "seed" | "threads" | "metals" | "lumens_per_watt" | "allow_missing_textures"
+            )
     }
 }
 

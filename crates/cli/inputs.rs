@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3, Quat, Vec3};
 use std::path::{Path, PathBuf};
 
-use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds, read_level};
+use gdibl_baker::import::gltf::{TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, is_image, read_image};
 use gdibl_baker::import::sky::{SkyOptions, read_sky};
 use gdibl_baker::job::{Inputs, Memory, NodeKind, Settings};
@@ -39,7 +39,7 @@ pub fn read_inputs(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fa
 
 /// Level and distant panorama alone.
 pub fn read_level_and_sky(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
-    let options = GltfOptions { textures, ..GltfOptions::default() };
+    let options = config.settings.gltf(textures);
     let mut scene = read_level(&config.level, &options)?;
     let mut findings = std::mem::take(&mut scene.findings);
     if let Some(path) = &config.environment {

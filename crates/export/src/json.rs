@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use gdibl_runtime::sh::coefficient_count;
+use gdibl_runtime::volume::VertexSet;
 use gdibl_runtime::{Grid, Kind, RadianceSh, Volume};
 
 use crate::light::{Least, Light};
@@ -26,10 +27,24 @@ struct Document {
     /// Of each vertex.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     normals: Vec<[f32; 3]>,
+    /// Which nodes are the vertices of which primitive.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    vertex_sets: Vec<Set>,
     /// Of each node, of each coefficient l(l+1)+m: radiance, RGB.
     radiance: Vec<Vec<[f32; 3]>>,
     /// Of each node: the share that was baked.
     validity: Vec<f32>,
+}
+
+/// Nodes `first` to `first + count - 1` are the vertices of a primitive, in the level's order.
+#[derive(Serialize)]
+struct Set {
+    /// glTF indices.
+    node: u32,
+    mesh: u32,
+    primitive: u32,
+    first: u32,
+    count: u32,
 }
 
 pub(crate) fn export(volume: &Volume, settings: &Settings) -> Result<Export, Error> {
@@ -77,6 +92,11 @@ fn places(volume: &Volume, settings: &Settings) -> Export {
         kind: if volume.header().kind == Kind::Points { "points" } else { "vertices" },
         positions: nodes.clone().map(|i| volume.node_position(i)).collect(),
         normals: nodes.clone().filter_map(|i| volume.node_normal(i)).collect(),
+        vertex_sets: volume
+            .vertex_sets()
+            .iter()
+            .map(|&VertexSet { node, mesh, primitive, first, count }| Set { node, mesh, primitive, first, count })
+            .collect(),
         radiance: nodes.clone().map(|i| coefficients(&volume.node_sh(i))).collect(),
         validity: nodes.clone().map(|i| if volume.is_valid(i) { 1.0 } else { 0.0 }).collect(),
         ..empty(volume)
@@ -111,6 +131,7 @@ fn empty(volume: &Volume) -> Document {
         bands: header.bands,
         positions: Vec::new(),
         normals: Vec::new(),
+        vertex_sets: Vec::new(),
         radiance: Vec::new(),
         validity: Vec::new(),
     }

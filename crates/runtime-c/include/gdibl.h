@@ -88,6 +88,20 @@ typedef struct {
   double max[3];
 } GdiblHeader;
 
+// Which nodes are the vertices of which part of the level.
+typedef struct {
+  // Index of the glTF node.
+  uint32_t node;
+  // Index of the glTF mesh.
+  uint32_t mesh;
+  // Index of the primitive in the mesh.
+  uint32_t primitive;
+  // The first of its nodes in the volume; the others follow in the order of the primitive's vertices.
+  uint32_t first;
+  // How many there are.
+  uint32_t count;
+} GdiblVertexSet;
+
 // Light at a position, or at a node.
 typedef struct {
   // The highest band, 0 to 4.
@@ -139,6 +153,17 @@ size_t gdibl_node_count(const GdiblVolume *volume);
 //
 // `volume` is NULL or alive; `position` is NULL or has three numbers; `sample` is NULL or can be written.
 GdiblStatus gdibl_node(const GdiblVolume *volume, size_t node, double position[3], GdiblSample *sample);
+
+// How many vertex sets there are; 0 for NULL, and unless the volume holds vertices.
+//
+// `volume` is NULL or alive.
+size_t gdibl_vertex_set_count(const GdiblVolume *volume);
+
+// Vertex set number index, from 0, in order of glTF node, mesh and primitive. For engines that give the vertices of a mesh
+// their light.
+//
+// `volume` is NULL or alive; `set` is NULL or can be written.
+GdiblStatus gdibl_vertex_set(const GdiblVolume *volume, size_t index, GdiblVertexSet *set);
 
 // Irradiance on a surface at a position in metres with a unit normal: diffuse = albedo / pi * irradiance. Not clamped.
 //

@@ -18,6 +18,7 @@ use alloc::boxed::Box;
 use core::ffi::c_char;
 use core::slice;
 use gdibl_runtime::sh::{MAX_BANDS, MAX_COEFFICIENTS};
+use gdibl_runtime::volume::VertexSet;
 use gdibl_runtime::{Error, Kind, RadianceSh, Sample, Volume};
 
 /// Most spherical harmonics coefficients of a volume: those of bands 0 to 4.
@@ -84,6 +85,22 @@ pub struct GdiblHeader {
     pub min: [f64; 3],
     /// The box's highest corner, metres.
     pub max: [f64; 3],
+}
+
+/// Which nodes are the vertices of which part of the level.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GdiblVertexSet {
+    /// Index of the glTF node.
+    pub node: u32,
+    /// Index of the glTF mesh.
+    pub mesh: u32,
+    /// Index of the primitive in the mesh.
+    pub primitive: u32,
+    /// The first of its nodes in the volume; the others follow in the order of the primitive's vertices.
+    pub first: u32,
+    /// How many there are.
+    pub count: u32,
 }
 
 /// Light at a position, or at a node.
@@ -230,6 +247,36 @@ pub unsafe extern "C" fn gdibl_node(
             write(position.cast(), volume.node_position(node))?;
             write(sample, sample_for_c(&found))
         }
+    })
+}
+
+/// How many vertex sets there are; 0 for NULL, and unless the volume holds vertices.
+///
+/// # Safety
+/// `volume` is NULL or alive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_vertex_set_count(volume: *const GdiblVolume) -> usize {
+    // SAFETY: `volume` is NULL, which has no vertex sets, or alive.
+    unsafe { volume_at(volume) }.map_or(0, |volume| volume.vertex_sets().len())
+}
+
+/// Vertex set number index, from 0, in order of glTF node, mesh and primitive. For engines that give the vertices of a mesh
+/// their light.
+///
+/// # Safety
+/// `volume` is NULL or alive; `set` is NULL or can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_vertex_set(
+    volume: *const GdiblVolume,
+    index: usize,
+    set: *mut GdiblVertexSet,
+) -> GdiblStatus {
+    guarded(|| {
+        // SAFETY: `volume` is NULL, which is refused, or alive.
+        let sets = unsafe { volume_at(volume)? }.vertex_sets();
+        let &VertexSet { node, mesh, primitive, first, count } = sets.get(index).ok_or(GdiblStatus::OutOfRange)?;
+        // SAFETY: `set` is NULL, which is refused, or can be written.
+        unsafe { write(set, GdiblVertexSet { node, mesh, primitive, first, count }) }
     })
 }
 

@@ -4,7 +4,7 @@
 mod common;
 
 use common::*;
-use gdibl_runtime::Volume;
+use gdibl_runtime::{Kind, Volume};
 use gdibl_runtime_c::*;
 use std::ffi::CStr;
 use std::mem::MaybeUninit;
@@ -129,6 +129,26 @@ fn header_and_nodes_are_the_files() {
 }
 
 #[test]
+fn vertex_sets_are_the_files() {
+    for form in FORMS {
+        let (truth, parsed) = parse_form(form);
+        // SAFETY: the volume is alive.
+        let count = unsafe { gdibl_vertex_set_count(parsed.0) };
+        assert_eq!(count, if form.kind == Kind::Vertices { 2 } else { 0 });
+        for (index, expected) in truth.vertex_sets().iter().enumerate() {
+            // SAFETY: the same.
+            let found = unsafe { written(|set| gdibl_vertex_set(parsed.0, index, set)) };
+            let GdiblVertexSet { node, mesh, primitive, first, count } = found;
+            assert_eq!([node, mesh, primitive], [expected.node, expected.mesh, expected.primitive]);
+            assert_eq!([first, count], [expected.first, expected.count]);
+        }
+        let mut set = MaybeUninit::uninit();
+        // SAFETY: the same.
+        assert_eq!(unsafe { gdibl_vertex_set(parsed.0, count, set.as_mut_ptr()) }, GdiblStatus::OutOfRange);
+    }
+}
+
+#[test]
 fn every_null_is_refused_and_nothing_is_written() {
     use GdiblStatus::NullPointer as Null;
     let (_, parsed) = parse_form(FORMS[0]);
@@ -173,6 +193,8 @@ fn every_null_is_refused_and_nothing_is_written() {
         assert_eq!(gdibl_header(null(), MaybeUninit::uninit().as_mut_ptr()), Null);
         assert_eq!(gdibl_header(volume, null_mut()), Null);
         assert_eq!(gdibl_node_count(null()), 0);
+        assert_eq!(gdibl_vertex_set_count(null()), 0);
+        assert_eq!(gdibl_vertex_set(null(), 0, MaybeUninit::uninit().as_mut_ptr()), Null);
         gdibl_free(null_mut());
     }
     assert_eq!((result, node_position), ([7.5; 3], [7.5; 3]));

@@ -7,6 +7,7 @@ mod baked;
 mod cells;
 mod directions;
 mod fill;
+mod finite;
 mod gather;
 mod integrate;
 mod irradiance;
@@ -21,6 +22,7 @@ use gdibl_runtime::sh;
 
 pub use baked::{BakeSettings, Baked, Walls};
 pub(crate) use cells::Cells;
+pub use finite::check_finite;
 pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 pub use gdibl_runtime::walls::WallCell;

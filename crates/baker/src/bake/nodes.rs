@@ -3,6 +3,7 @@
 use gdibl_runtime::bricks::Bricks;
 use gdibl_runtime::grid::Grid;
 use glam::{DVec3, Vec3};
+use std::collections::HashMap;
 
 use crate::scene::{Mesh, Scene};
 use crate::trace::Frame;
@@ -49,7 +50,8 @@ impl SparseGrid {
     }
 }
 
-/// The vertices of one primitive of one glTF node, in the file's order.
+/// The vertices of one primitive of one glTF node, in the file's order, as many as the file has; of instances one after
+/// another. Sets of primitives that share the file's vertices are one set of nodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VertexSet {
     /// glTF node index.
@@ -65,20 +67,57 @@ pub struct VertexSet {
 }
 
 impl Nodes {
-    /// All vertices of the level, with their normals.
+    /// All vertices of the level, with their normals: those of a primitive in the file's order and as many as the file has.
+    /// One that no triangle uses stands where the last one before it stands that some triangle uses, or the first.
     pub fn vertices_of(scene: &Scene) -> Nodes {
-        let (mut positions, mut normals, mut inward, mut sets) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for mesh in &scene.meshes {
-            sets.push(VertexSet {
-                node: mesh.node,
-                mesh: mesh.mesh,
-                primitive: mesh.primitive,
-                first: positions.len() as u32,
-                count: mesh.positions.len() as u32,
+        // Primitives of a mesh that share the file's vertices share nodes; instances follow one another. (A few bytes may name
+        // a shared accessor of millions: past what a volume holds, only vertices in use count.)
+        let all = |mesh: &Mesh| u64::from(mesh.file_count) * (u64::from(mesh.instance) + 1);
+        let is_whole = scene.meshes.iter().map(all).sum::<u64>() <= u64::from(u32::MAX);
+        let mut blocks: Vec<(VertexSet, u32)> = Vec::new();
+        let mut block_of: HashMap<(u32, u32, [u32; 2], u32), usize> = HashMap::new();
+        let mut owners = Vec::with_capacity(scene.meshes.len());
+        for (index, mesh) in scene.meshes.iter().enumerate() {
+            let used = mesh.positions.len() as u32;
+            let is_own = mesh.file_count == 0 || !is_whole;
+            let (count, own) = if is_own { (used, index as u32) } else { (mesh.file_count.max(used), u32::MAX) };
+            let at = *block_of.entry((mesh.node, mesh.mesh, mesh.file_accessors, own)).or_insert_with(|| {
+                let VertexSet { node, mesh, primitive, .. } = set_of(mesh);
+                blocks.push((VertexSet { node, mesh, primitive, first: 0, count }, 0));
+                blocks.len() - 1
             });
-            positions.extend_from_slice(&mesh.positions);
-            normals.extend_from_slice(&mesh.normals);
-            inward.extend(directions_inward(mesh));
+            blocks[at].1 = if is_own { 1 } else { blocks[at].1.max(mesh.instance + 1) };
+            owners.push(at);
+        }
+        let mut total = 0;
+        for (block, instances) in &mut blocks {
+            block.first = total;
+            total += block.count * *instances;
+        }
+        let mut nodes: Vec<Option<(DVec3, Vec3, Vec3)>> = vec![None; total as usize];
+        let mut sets: Vec<VertexSet> = Vec::new();
+        for (mesh, &owner) in scene.meshes.iter().zip(&owners) {
+            let (block, instances) = blocks[owner];
+            let first = block.first + mesh.instance.min(instances - 1) * block.count;
+            for (vertex, inward) in directions_inward(mesh).into_iter().enumerate() {
+                let number = mesh.file_numbers.get(vertex).copied().filter(|_| is_whole).unwrap_or(vertex as u32);
+                nodes[(first + number) as usize].get_or_insert((mesh.positions[vertex], mesh.normals[vertex], inward));
+            }
+            let set = VertexSet { first: block.first, count: block.count * instances, ..set_of(mesh) };
+            if sets.last() != Some(&set) {
+                sets.push(set);
+            }
+        }
+        let (mut positions, mut normals, mut inward) = (Vec::new(), Vec::new(), Vec::new());
+        for (block, instances) in &blocks {
+            let own = &nodes[block.first as usize..(block.first + block.count * instances) as usize];
+            let mut last = own.iter().flatten().next().copied().unwrap_or_default();
+            for node in own {
+                last = node.unwrap_or(last);
+                positions.push(last.0);
+                normals.push(last.1);
+                inward.push(last.2);
+            }
         }
         Nodes::Vertices { positions, normals, inward, sets }
     }
@@ -138,6 +177,11 @@ impl Nodes {
             Nodes::Points(_) => position,
         }
     }
+}
+
+/// Which primitive a mesh is, without its nodes.
+fn set_of(mesh: &Mesh) -> VertexSet {
+    VertexSet { node: mesh.node, mesh: mesh.mesh, primitive: mesh.primitive, first: 0, count: 0 }
 }
 
 /// `inward` of [`Nodes::Vertices`] for one mesh.

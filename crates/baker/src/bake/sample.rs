@@ -37,6 +37,7 @@ impl Batch {
         settings: &BakeSettings,
         control: &Control,
     ) -> Result<Batch, Interrupted> {
+        let is_whole = median.is_none();
         let mut sites = Sites::find(nodes, numbers, function, control)?;
         let count = sites.numbers.len();
         let open = sites.open(nodes.neighbourhoods(&sites.numbers).into_iter());
@@ -65,6 +66,10 @@ impl Batch {
         Job { nodes, sites: &sites, function, settings, control: &silent }.sample(&out, enough, &mut sampled)?;
         for node in out.into_iter().filter(|node| !is_dark(&sampled, node)) {
             sites.standing[node as usize] = Standing::Open;
+        }
+        // Where no node is in the open, nothing tells a solid of double-sided walls from a dark room: they are in one.
+        if is_whole && !sites.standing.contains(&Standing::Open) {
+            dark.iter().for_each(|node| sites.standing[*node as usize] = Standing::Open);
         }
         for (standing, estimate) in sites.standing.iter_mut().zip(&sampled.estimates) {
             if *standing == Standing::Open && estimate.coverage == 0.0 {

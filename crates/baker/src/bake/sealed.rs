@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 
 use super::Nodes;
-use crate::scene::{Alpha, Scene};
+use crate::scene::Scene;
 use crate::trace::{Frame, Tree};
 
 /// Directions that have to agree, along no edge of anything.
@@ -40,7 +40,7 @@ impl Shells {
         let mut triangles = Vec::new();
         let mut clear = Vec::new();
         for mesh in &scene.meshes {
-            let is_clear = scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
+            let is_clear = scene.materials[mesh.material as usize].lets_light_through();
             for ids in &mesh.triangles {
                 let positions = ids.map(|id| mesh.positions[id as usize]);
                 // Plus zero, so that both zeros are one.

@@ -4,7 +4,8 @@
 //! A node looks around before it is baked. Who sees the backs of single-sided triangles in more than a quarter of all
 //! directions is in a solid, or, where light could escape from there, outside of the level: it is not baked, unless a small
 //! step within its cell brings it into the open. Double-sided triangles tell nothing so early, for rooms are made of them
-//! with either side inward; who sees their backs and then finds next to no light was in a solid, too.
+//! with either side inward; who sees their backs and then finds next to no light was in a solid, too, as long as some node of
+//! the volume is in the open.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;

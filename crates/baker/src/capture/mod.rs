@@ -161,7 +161,7 @@ impl Camera<'_> {
         let mut direction = self.grid.direction(number, context.point(0));
         let mut first = self.path.meet(self.origin, direction, context);
         // Past the edge of what the centre sees, the centre itself is looked at again.
-        if !pixel.sees(direction, first) {
+        if !pixel.sees(direction, first.hit) {
             direction = self.grid.direction(number, [0.5, 0.5]);
             first = self.path.meet(self.origin, direction, context);
         }

@@ -102,7 +102,7 @@ fn points_along(around: &Surroundings, black: &[Vec3], from: usize, direction: V
         }
         let line =
             environment.transmittance(scene, environment.leave(&hit), placed[other].position, Some(hit.triangle));
-        if line < 1.0 {
+        if line != Vec3::ONE {
             return None;
         }
         let pair = [from.min(other), from.max(other)];

@@ -173,6 +173,8 @@ impl Job {
         let (method, mut rows) = (self.method(), self.first_rows());
         let Sampled { nodes, mut baked, sparse, rows: found } = self.sample(&self.settings, true, watch)?;
         check_valid(&baked).map_err(Stop::Nothing)?;
+        bake::check_finite(nodes.as_ref().unwrap_or(&self.nodes), &baked, &self.inputs.scene)
+            .map_err(|why| Stop::Invalid(format!("{}: {why}", self.inputs.level)))?;
         rows.extend(found);
         let nodes = nodes.unwrap_or(self.nodes);
         let Settings { grid, quality, .. } = &self.settings;

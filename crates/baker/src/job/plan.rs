@@ -11,7 +11,7 @@ use crate::exposure::ExposureMatch;
 use crate::radiance::RadianceFunction;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
-use crate::scene::{Alpha, Role, Scene};
+use crate::scene::{Role, Scene};
 
 /// Which method is in force, and who chose it.
 pub fn method(asked: Method, chosen: Method, inputs: &Inputs) -> PlanRow {
@@ -214,7 +214,7 @@ fn emitters(count: usize) -> PlanRow {
 }
 
 fn transparency(scene: &Scene) -> PlanRow {
-    let clear = |mesh: &&crate::scene::Mesh| scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
+    let clear = |mesh: &&crate::scene::Mesh| scene.materials[mesh.material as usize].lets_light_through();
     match scene.meshes.iter().filter(clear).count() {
         0 => PlanRow::new("transparency", false, "every material is opaque"),
         n => PlanRow::new("transparency", true, format!("{n} meshes have holes or let light through")),

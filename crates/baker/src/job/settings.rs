@@ -6,11 +6,13 @@
 use super::text::{Bands, Method, NodeKind, Punctual, SunLight, Text};
 use crate::bake::BakeSettings;
 use crate::capture::CaptureSettings;
+use crate::import::gltf::{GltfOptions, TextureNeeds};
 use crate::pack::{PackSettings, Precision};
 use crate::radiance::blend::BlendRule;
 use crate::radiance::gdibl::{GdiblSettings, SceneHit};
 use crate::radiance::path::PathSettings;
 use crate::sampling::Sampler;
+use crate::scene::Metals;
 
 /// What is known of a setting beside its value.
 #[derive(Debug, Clone, Copy)]
@@ -218,6 +220,13 @@ settings! {
         /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
         /// [default: footprint:4]
         "RULE" blend: BlendRule = BlendRule::default();
+        /// What metals reflect: diffuse, the share that keeps the energy of a rough metal, or black [default: diffuse]
+        "WHAT" metals: Metals = Metals::Diffuse;
+        /// Divide the level's punctual lights by this: lumens that an exporter made of a watt (Blender: 683) [default: off]
+        "LM" lumens_per_watt: Option<f32> = None,
+            |lumens| lumens.is_none_or(|n| n > 0.0 && n.is_finite()) => "a number above 0";
+        /// Mid-grey in place of textures that are missing or cannot be read, instead of an error
+        "BOOL" allow_missing_textures: bool = false;
         /// Replace NaN, infinite and negative pixels instead of refusing the image
         "BOOL" repair_pixels: bool = false;
         /// Match the exposures of photographed probes by surfaces that two or more of them show, and name probes that
@@ -319,6 +328,12 @@ impl Settings {
             seed: quality.seed,
             directions,
         }
+    }
+
+    /// How levels are read.
+    pub fn gltf(&self, textures: TextureNeeds) -> GltfOptions {
+        let QualitySettings { metals, lumens_per_watt, allow_missing_textures, .. } = self.quality;
+        GltfOptions { textures, metals, lumens_per_watt, allow_missing_textures, ..GltfOptions::default() }
     }
 
     /// How paths are traced.

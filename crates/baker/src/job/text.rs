@@ -6,6 +6,7 @@ use crate::pack::Precision;
 use crate::radiance::blend::BlendRule;
 use crate::radiance::gdibl::SceneHit;
 use crate::sampling::Sampler;
+use crate::scene::Metals;
 
 /// A value that has a text form: [`Text::text`] of a value reads back as that value.
 pub trait Text: Sized {
@@ -163,6 +164,7 @@ macro_rules! words {
 words!(Sampler { "sobol" = Sampler::Sobol, "random" = Sampler::Random });
 words!(Method { "auto" = Method::Auto, "gdibl" = Method::Gdibl, "path" = Method::Path });
 words!(Punctual { "include" = Punctual::Include, "exclude" = Punctual::Exclude });
+words!(Metals { "diffuse" = Metals::Diffuse, "black" = Metals::Black });
 words!(SunLight { "include" = SunLight::Include, "extract" = SunLight::Extract });
 
 /// The radiance function.

@@ -18,7 +18,7 @@ use super::surface_light::SurfaceLight;
 use super::{PathContext, Radiance, RadianceFunction, Seen};
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Role, Scene};
-use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
+use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Scattered, Surfaces, counts_before, search_limit};
 
 pub use super::probe::Probe;
 
@@ -122,6 +122,8 @@ const MAX_STEPS: u32 = 32;
 const ROULETTE: u32 = 2 * MAX_STEPS;
 /// And those of next-event estimation after these.
 const NEXT_EVENT: u32 = 4 * MAX_STEPS;
+/// And those that choose a side of what lets light through diffusely.
+const SIDE: u32 = 6 * MAX_STEPS;
 
 /// The function, ready to be called from any thread.
 #[derive(Debug)]
@@ -277,28 +279,40 @@ impl<'a> Gdibl<'a> {
         radiance: impl Fn(Met, &mut PathContext) -> Radiance,
     ) -> Radiance {
         let mut sum = Radiance::UNCOVERED;
-        let mut clear = 1.0;
+        // Share of the ray that is left, and by colour what its light is multiplied by.
+        let mut left = 1.0;
+        let mut tint = Vec3::ONE;
         let mut passed = 0.0;
         for _ in 0..MAX_LAYERS {
             context.rays += 1;
             let near =
                 self.environment.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, f32::INFINITY));
-            let limit = near.map_or(f32::INFINITY, |hit| hit.t);
+            let limit = near.map_or(f32::INFINITY, |hit| search_limit(&hit, direction));
             let object = self.objects.as_ref().and_then(|s| s.closest(self.scene, origin, direction, passed, limit));
+            let is_first = |object: &Hit| near.is_none_or(|near| counts_before(object, &near));
             let (met, opacity, t) = match (object, near) {
-                (Some(hit), _) => (Met::Object(hit), hit.opacity, hit.t),
-                (None, Some(hit)) => (Met::Environment(hit), hit.opacity, hit.t),
-                (None, None) => (Met::Nothing, 1.0, f32::INFINITY),
+                (Some(hit), _) if is_first(&hit) => (Met::Object(hit), hit.opacity, hit.t),
+                (_, Some(hit)) => (Met::Environment(hit), hit.opacity, hit.t),
+                _ => (Met::Nothing, 1.0, f32::INFINITY),
             };
             context.reach.get_or_insert(t);
-            let part = radiance(met, context);
-            sum.value += part.value * (clear * opacity);
-            sum.coverage += part.coverage * (clear * opacity);
-            clear *= 1.0 - opacity;
-            if clear < CLEAR_ENOUGH {
+            let next_tint = match &met {
+                Met::Object(hit) => self.objects.as_ref().map(|s| s.tint(self.scene, hit)),
+                Met::Environment(hit) => self.environment.as_ref().map(|s| s.tint(self.scene, hit)),
+                Met::Nothing => None,
+            };
+            if opacity > 0.0 {
+                let part = radiance(met, context);
+                sum.value += part.value * tint * (left * opacity);
+                sum.coverage += part.coverage * (left * opacity);
+            }
+            left *= 1.0 - opacity;
+            if left < CLEAR_ENOUGH {
                 break;
             }
-            passed = t;
+            tint *= next_tint.unwrap_or(Vec3::ONE);
+            // Past what lies in one place with it, too.
+            passed = near.filter(|near| near.back && near.t < t).map_or(t, |near| near.t.max(t));
         }
         sum
     }
@@ -313,7 +327,9 @@ impl<'a> Gdibl<'a> {
             return if inside { Radiance::UNCOVERED } else { Radiance::covered(Vec3::ZERO) };
         };
         let emission = objects.emission(self.scene, hit);
-        let albedo = objects.albedo(self.scene, hit);
+        let chance = || context.stream.random(context.sample, SIDE + walk.step);
+        let Scattered { hit, albedo } = objects.scatter(self.scene, hit, chance);
+        let hit = &hit;
         if albedo == Vec3::ZERO {
             return Radiance::covered(emission);
         }
@@ -426,7 +442,7 @@ impl<'a> Gdibl<'a> {
                 true => 1.0,
                 false => {
                     context.rays += 1;
-                    environment.transmittance(self.scene, start, probe.position, Some(hit.triangle))
+                    environment.transmittance(self.scene, start, probe.position, Some(hit.triangle)).max_element()
                 }
             };
             if clear <= 0.0 {
@@ -500,7 +516,8 @@ impl<'a> Gdibl<'a> {
     /// this, irradiance on the three spheres of the box is 10 % too bright; with it, 1 % (`tools/sphere_table`).
     fn effect_of_objects(&self, hit: &Hit, walk: Walk, context: &mut PathContext) -> Vec3 {
         let environment = self.environment.as_ref().expect("the environment was hit");
-        let albedo = environment.albedo(self.scene, hit);
+        let chance = || context.stream.random(context.sample, SIDE + walk.step);
+        let Scattered { hit, albedo } = environment.scatter(self.scene, hit, chance);
         let walk = Walk { step: walk.step + 1, ..walk };
         // Roulette by albedo: what goes on keeps the walk's weight at about one.
         let survival = albedo.max_element().min(1.0);
@@ -509,7 +526,7 @@ impl<'a> Gdibl<'a> {
             return Vec3::ZERO;
         }
         let albedo = albedo / survival;
-        let start = environment.leave(hit);
+        let start = environment.leave(&hit);
         let direction = cosine_hemisphere(hit.normal, context.stream.point(context.sample, walk.step));
         let mut effect = match self.change_along(start, direction, walk, context) {
             Change::Object { difference, share } => {
@@ -532,8 +549,11 @@ impl<'a> Gdibl<'a> {
         let environment = self.environment.as_ref().expect("the environment was hit");
         context.rays += 1;
         let behind = environment.closest(self.scene, start, direction, 0.0, f32::INFINITY);
-        let limit = behind.map_or(f32::INFINITY, |hit| hit.t);
-        let Some(object) = objects.closest(self.scene, start, direction, 0.0, limit) else {
+        let limit = behind.map_or(f32::INFINITY, |hit| search_limit(&hit, direction));
+        let object = objects
+            .closest(self.scene, start, direction, 0.0, limit)
+            .filter(|object| behind.is_none_or(|behind| counts_before(object, &behind)));
+        let Some(object) = object else {
             return behind.map_or(Change::None, Change::Behind);
         };
         let with = self.object_radiance(&object, walk, context);
@@ -557,7 +577,7 @@ impl<'a> Gdibl<'a> {
             let Some(pixel) = probe.panorama.radiance_escaping(placed.to_local * direction) else { continue };
             let clear = self.environment.as_ref().map_or(1.0, |environment| {
                 context.rays += 1;
-                environment.escaping(self.scene, placed.position, direction)
+                environment.escaping(self.scene, placed.position, direction).max_element()
             });
             sum += pixel * (placed.gain * placed.pixels * clear);
             total += placed.pixels * clear;
@@ -612,7 +632,7 @@ impl RadianceFunction for Gdibl<'_> {
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {
         for arriving in self.punctual.arriving(origin) {
-            let mut clear = 1.0;
+            let mut clear = Vec3::ONE;
             for surfaces in self.environment.iter().chain(&self.objects) {
                 context.rays += 1;
                 clear *= match arriving.position {

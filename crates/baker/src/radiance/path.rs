@@ -6,7 +6,9 @@
 //! "The Rendering Equation", 1986; Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, ch. 9
 //! and 10; Pharr, Jakob, Humphreys, "Physically Based Rendering", 4th ed., 2023, ch. 13.
 //!
-//! Both sides of every triangle block and reflect. Specular lobes are left out: metals are black.
+//! Both sides of every triangle block and reflect. Specular lobes are left out: metals reflect diffusely, or are black (see
+//! [`Metals`](crate::scene::Metals)). What lets light through straight lets paths pass by chance, tinted; what lets it
+//! through diffusely sends some on from its other side.
 
 use glam::Vec3;
 
@@ -15,7 +17,7 @@ use super::punctual::{Arriving, Punctual};
 use super::{PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
 use crate::sampling::cosine_hemisphere;
-use crate::scene::{Role, Scene};
+use crate::scene::{Material, Metals, Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
 
 /// How paths are traced.
@@ -37,6 +39,15 @@ impl Default for PathSettings {
     fn default() -> Self {
         PathSettings { bounces: 64, scene_geometry: true }
     }
+}
+
+/// Where a ray first stopped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct First {
+    /// `None`: it escaped.
+    pub hit: Option<Hit>,
+    /// What its light is multiplied by for what it passed on the way.
+    pub tint: Vec3,
 }
 
 /// From this surface on a walk may end by roulette.
@@ -107,27 +118,27 @@ impl<'a> Path<'a> {
     /// Something of the light that leaves a surface point reaches `place` (trace space).
     pub fn sees(&self, point: &Hit, place: Vec3) -> bool {
         self.surfaces.as_ref().is_none_or(|surfaces| {
-            surfaces.transmittance(self.scene, surfaces.leave(point), place, Some(point.triangle)) > 0.0
+            surfaces.transmittance(self.scene, surfaces.leave(point), place, Some(point.triangle)) != Vec3::ZERO
         })
     }
 
     /// Where a path that starts along this ray first stops: a partly clear surface stops it with the probability of
-    /// its opacity. `None`: it escapes.
-    pub fn meet(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Option<Hit> {
+    /// its opacity.
+    pub fn meet(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> First {
         self.nearest(origin, direction, 1, context)
     }
 
     /// What the surface that a ray first met sends out itself; nothing where it escaped.
-    pub fn emission(&self, first: Option<Hit>) -> Vec3 {
+    pub fn emission(&self, first: First) -> Vec3 {
         let emission = |hit: Hit| self.surfaces.as_ref().map(|surfaces| surfaces.emission(self.scene, &hit));
-        first.and_then(emission).unwrap_or(Vec3::ZERO)
+        first.hit.and_then(emission).unwrap_or(Vec3::ZERO) * first.tint
     }
 
     /// Light along a ray in the unit `direction` that first met `first`, [`Path::emission`] included.
-    pub fn light(&self, direction: Vec3, first: Option<Hit>, context: &mut PathContext) -> Vec3 {
+    pub fn light(&self, direction: Vec3, first: First, context: &mut PathContext) -> Vec3 {
         let mut light = Vec3::ZERO;
-        let mut throughput = Vec3::ONE;
-        let (mut met, mut direction) = (first, direction);
+        let mut throughput = first.tint;
+        let (mut met, mut direction) = (first.hit, direction);
         // The surface that was left, and the density of the direction there; the first ray was paid for by who sent it.
         let mut left: Option<(Receiver, f32)> = None;
         for bounce in 0..=self.settings.bounces {
@@ -145,7 +156,9 @@ impl<'a> Path<'a> {
                 light += throughput * emission * weight;
             }
             // The last surface only glows.
-            throughput *= surfaces.albedo(self.scene, &hit);
+            let scattered = surfaces.scatter(self.scene, &hit, || context.stream.random(context.sample, pair + 1));
+            let hit = scattered.hit;
+            throughput *= scattered.albedo;
             if bounce == self.settings.bounces || throughput == Vec3::ZERO {
                 break;
             }
@@ -162,7 +175,9 @@ impl<'a> Path<'a> {
             direction = cosine_hemisphere(hit.normal, context.point(pair));
             let receiver = Receiver::surface(start, hit.normal);
             left = Some((receiver, direction.dot(hit.normal) * std::f32::consts::FRAC_1_PI));
-            met = self.nearest(start, direction, pair + PAIRS, context);
+            let next = self.nearest(start, direction, pair + PAIRS, context);
+            throughput *= next.tint;
+            met = next.hit;
         }
         light
     }
@@ -190,12 +205,12 @@ impl<'a> Path<'a> {
                 let triangle = point.triangle.expect("without probes there are no regions");
                 let place = surfaces.point(triangle, point.barycentric, back);
                 let emission = surfaces.emission(self.scene, &place)
-                    * surfaces.opacity_at(self.scene, triangle, point.barycentric);
+                    * surfaces.opacity_at(self.scene, triangle, point.barycentric, direction);
                 let density = solid_angle_density(point.density, line, point.normal);
                 if emission != Vec3::ZERO && density.is_finite() && density > 0.0 {
                     context.rays += 1;
                     let clear = surfaces.transmittance(self.scene, start, point.position, point.triangle);
-                    sum += emission * (clear * cosine * FRAC_1_PI / (density + cosine * FRAC_1_PI));
+                    sum += emission * clear * (cosine * FRAC_1_PI / (density + cosine * FRAC_1_PI));
                 }
             }
         }
@@ -204,8 +219,8 @@ impl<'a> Path<'a> {
             let cosine = direction.dot(normal);
             if cosine > 0.0 && density > 0.0 {
                 let clear = self.escaping(start, direction, context);
-                if clear > 0.0 {
-                    sum += sky.radiance(direction) * (clear * cosine * FRAC_1_PI / (density + cosine * FRAC_1_PI));
+                if clear != Vec3::ZERO {
+                    sum += sky.radiance(direction) * clear * (cosine * FRAC_1_PI / (density + cosine * FRAC_1_PI));
                 }
             }
         }
@@ -232,14 +247,14 @@ impl<'a> Path<'a> {
             }
         }
         let Some((arriving, share)) = chosen else { return Vec3::ZERO };
-        given(&arriving) * (total / share * self.clear_toward(start, &arriving, context))
+        given(&arriving) * (total / share) * self.clear_toward(start, &arriving, context)
     }
 
-    /// Share of a punctual light that arrives.
-    fn clear_toward(&self, from: Vec3, arriving: &Arriving, context: &mut PathContext) -> f32 {
+    /// Share of a punctual light that arrives, by colour.
+    fn clear_toward(&self, from: Vec3, arriving: &Arriving, context: &mut PathContext) -> Vec3 {
         match (arriving.position, &self.surfaces) {
             (None, _) => self.escaping(from, arriving.direction, context),
-            (Some(_), None) => 1.0,
+            (Some(_), None) => Vec3::ONE,
             (Some(position), Some(surfaces)) => {
                 context.rays += 1;
                 surfaces.transmittance(self.scene, from, position, None)
@@ -247,32 +262,39 @@ impl<'a> Path<'a> {
         }
     }
 
-    fn escaping(&self, from: Vec3, direction: Vec3, context: &mut PathContext) -> f32 {
-        let Some(surfaces) = &self.surfaces else { return 1.0 };
+    fn escaping(&self, from: Vec3, direction: Vec3, context: &mut PathContext) -> Vec3 {
+        let Some(surfaces) = &self.surfaces else { return Vec3::ONE };
         context.rays += 1;
         surfaces.escaping(self.scene, from, direction)
     }
 
     /// The nearest surface that stops the ray: a partly clear one does so with the probability of its opacity.
-    fn nearest(&self, origin: Vec3, direction: Vec3, pair: u32, context: &mut PathContext) -> Option<Hit> {
-        let surfaces = self.surfaces.as_ref()?;
+    fn nearest(&self, origin: Vec3, direction: Vec3, pair: u32, context: &mut PathContext) -> First {
+        let mut first = First { hit: None, tint: Vec3::ONE };
+        let Some(surfaces) = &self.surfaces else { return first };
         let mut passed = 0.0;
         let mut chance = None;
         for _ in 0..MAX_LAYERS {
             context.rays += 1;
-            let hit = surfaces.closest(self.scene, origin, direction, passed, f32::INFINITY)?;
+            let Some(hit) = surfaces.closest(self.scene, origin, direction, passed, f32::INFINITY) else {
+                return first;
+            };
             if hit.opacity >= 1.0 {
-                return Some(hit);
+                first.hit = Some(hit);
+                return first;
             }
             // One number for all layers: what is left of it above the opacity is stretched again.
             let left = *chance.get_or_insert_with(|| context.stream.random(context.sample, pair));
             if left < hit.opacity {
-                return Some(hit);
+                first.hit = Some(hit);
+                return first;
             }
             chance = Some((left - hit.opacity) / (1.0 - hit.opacity));
+            first.tint *= surfaces.tint(self.scene, &hit);
             passed = hit.t;
         }
-        None
+        // Past so many layers the rest is lost.
+        First { hit: None, tint: Vec3::ZERO }
     }
 }
 
@@ -291,9 +313,9 @@ impl RadianceFunction for Path<'_> {
 
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         let first = self.meet(origin, direction, context);
-        context.reach = Some(first.map_or(f32::INFINITY, |hit| hit.t));
-        if let (None, Some(sky)) = (first, &self.sky) {
-            return Radiance::covered(sky.radiance_at_node(direction));
+        context.reach = Some(first.hit.map_or(f32::INFINITY, |hit| hit.t));
+        if let (None, Some(sky)) = (first.hit, &self.sky) {
+            return Radiance::covered(sky.radiance_at_node(direction) * first.tint);
         }
         Radiance::covered(self.light(direction, first, context))
     }
@@ -306,14 +328,17 @@ impl RadianceFunction for Path<'_> {
         shade: impl Fn(&Seen, &mut PathContext) -> Option<Radiance>,
     ) -> Radiance {
         let first = self.meet(origin, direction, context);
-        let (Some(hit), Some(surfaces)) = (first, &self.surfaces) else {
+        let (Some(hit), Some(surfaces)) = (first.hit, &self.surfaces) else {
             return Radiance::covered(self.light(direction, first, context));
         };
         let shaded = shade(&Seen { scene: self.scene, surfaces, hit: &hit, direction }, context);
-        shaded.unwrap_or_else(|| {
-            let first = surfaces.smooth(self.scene, hit);
-            Radiance::covered(self.light(direction, Some(first), context))
-        })
+        match shaded {
+            Some(shaded) => Radiance { value: shaded.value * first.tint, ..shaded },
+            None => {
+                let first = First { hit: Some(surfaces.smooth(self.scene, hit)), ..first };
+                Radiance::covered(self.light(direction, first, context))
+            }
+        }
     }
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {
@@ -324,35 +349,62 @@ impl RadianceFunction for Path<'_> {
     }
 }
 
-/// What Lambertian surfaces leave out of the level's light, where it has metals: `specular-left-out`, counted in
-/// materials, with the share of energy.
+/// What Lambertian surfaces make of the level's metals, where it has some: `specular-left-out`, counted in materials, with
+/// the share of energy where the metals' textures were read.
 pub fn specular_left_out(scene: &Scene) -> Option<Finding> {
     // Reflected from white light that comes from all sides, by area: diffusely, and by metals.
     let (mut diffuse, mut specular) = (0.0, 0.0);
     let mut metals = std::collections::BTreeSet::new();
+    let mut unknown = 0;
+    let mut kinds = [false; 2];
+    let metallic: Vec<f64> = scene.materials.iter().map(|material| mean_metallic(scene, material)).collect();
     for mesh in &scene.meshes {
         let material = &scene.materials[mesh.material as usize];
-        if material.unlit || material.base_color.truncate() == Vec3::ZERO {
+        if material.unlit || material.specular_glossiness || material.base_color.truncate() == Vec3::ZERO {
             continue;
         }
+        let metallic = metallic[mesh.material as usize];
         let area: f64 = mesh.triangles.iter().map(|ids| mesh.area(*ids)).sum();
         let reflected = area * f64::from(material.base_color.truncate().element_sum() / 3.0);
-        diffuse += reflected * f64::from(1.0 - material.metallic);
-        specular += reflected * f64::from(material.metallic);
-        if material.metallic > 0.0 {
-            metals.insert(mesh.material);
+        diffuse += reflected * (1.0 - metallic);
+        specular += reflected * metallic;
+        if metallic > 0.0 && metals.insert(mesh.material) {
+            unknown += usize::from(material.metallic_unknown);
+            kinds[usize::from(material.metals == Metals::Black)] = true;
         }
     }
-    let share = 100.0 * specular / (diffuse + specular);
+    let share = match unknown {
+        0 => format!("reflect {:.0} % of", 100.0 * specular / (diffuse + specular)),
+        // Most files say "metal" by factor and "no metal" by texture.
+        _ => "may reflect some of".into(),
+    };
+    let fate = match kinds {
+        [true, false] => {
+            "they do so diffusely here, by the share of base colour that a metal of their roughness reflects (--metals black \
+             leaves it out)"
+        }
+        [false, true] => "they are black here (--metals diffuse lets them reflect)",
+        _ => "some of them do so diffusely here, others are black",
+    };
+    let unread = match unknown {
+        0 => String::new(),
+        n => format!(", as far as is known: the textures of {n} of them were not read"),
+    };
     (!metals.is_empty()).then(|| {
         let message = format!(
-            "metals, in {} materials, reflect {share:.0} % of what the level's surfaces reflect under even light (by base \
-             colour and area); they are black here: specular lobes are left out, and so is the gloss of other surfaces, \
-             about 4 % of what meets them",
+            "metals, in {} materials, {share} what the level's surfaces reflect under even light (by base colour and \
+             area){unread}; {fate}; specular lobes are left out, and so is the gloss of other surfaces, about 4 % of what \
+             meets them",
             metals.len()
         );
         Finding::new("specular-left-out", metals.len() as u64, message)
     })
+}
+
+/// The mean over its texture.
+fn mean_metallic(scene: &Scene, material: &Material) -> f64 {
+    let map = material.metallic_map.map_or(1.0, |map| scene.maps[map.texture as usize].mean());
+    f64::from(material.metallic) * map
 }
 
 /// Weight of light that the walk found with density `walk`, and a light's own ray could have found with `drawn`.

@@ -43,8 +43,7 @@ impl Seen<'_> {
 
     /// What a mirror there does to the light it reflects; `None` where there is none.
     pub fn mirror_color(&self) -> Option<Vec3> {
-        let mirror = self.surfaces.material(self.scene, self.hit.triangle).is_mirror();
-        mirror.then(|| self.surfaces.base_color(self.scene, self.hit.triangle, self.hit.barycentric).truncate())
+        self.surfaces.mirror_color(self.scene, self.hit)
     }
 
     /// Start (trace position) and unit direction of the ray that a mirror sends on. It leaves the triangle, whatever the

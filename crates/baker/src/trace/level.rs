@@ -3,7 +3,7 @@
 use glam::Vec3;
 use std::cell::Cell;
 
-use super::{Hit, Surfaces};
+use super::{Hit, Surfaces, counts_before, search_limit};
 use crate::scene::Scene;
 
 /// All surfaces of a level; none in plain image based lighting. For one thread: it counts its rays.
@@ -53,23 +53,25 @@ impl<'a> Level<'a> {
     /// The nearest surface along a ray (trace space) that shows itself, nearer than `t_max`.
     pub fn meet(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Met> {
         self.rays.update(|rays| rays + 1);
-        let mut nearest: Option<Met> = None;
+        let mut nearest: Option<(Hit, &Surfaces)> = None;
         for surfaces in self.surfaces.into_iter().flatten() {
-            let limit = nearest.map_or(t_max, |met| met.t);
-            if let Some(hit) = surfaces.shown(self.scene, origin, direction, limit) {
-                let Hit { t, position, normal, triangle, .. } = hit;
-                let back = hit.back && !surfaces.has_front_at(origin, direction, t);
-                let single_sided = !surfaces.material(self.scene, triangle).double_sided;
-                nearest = Some(Met { t, position, normal, back, single_sided });
+            let limit = nearest.map_or(t_max, |(hit, _)| search_limit(&hit, direction).min(t_max));
+            if let Some(hit) = surfaces.shown(self.scene, origin, direction, limit)
+                && nearest.is_none_or(|(old, _)| counts_before(&hit, &old))
+            {
+                nearest = Some((hit, surfaces));
             }
         }
-        nearest
+        nearest.map(|(Hit { t, position, normal, back, triangle, .. }, surfaces)| {
+            let single_sided = !surfaces.material(self.scene, triangle).double_sided;
+            Met { t, position, normal, back, single_sided }
+        })
     }
 
     /// Half of the light or more passes from one place to the other (trace space).
     pub fn is_clear(&self, from: Vec3, to: Vec3) -> bool {
         self.rays.update(|rays| rays + 1);
         let share = |surfaces: &Surfaces| surfaces.transmittance(self.scene, from, to, None);
-        self.surfaces.into_iter().flatten().map(share).product::<f32>() >= 0.5
+        self.surfaces.into_iter().flatten().map(share).product::<Vec3>().max_element() >= 0.5
     }
 }

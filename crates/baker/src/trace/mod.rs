@@ -11,23 +11,25 @@ mod shaft;
 mod simd;
 mod stack;
 mod star;
+mod surface;
 mod traverse;
 mod tree;
 mod triangle;
+mod twins;
 
-use glam::{DVec3, Vec2, Vec3, Vec4};
+use glam::{DVec3, Vec2, Vec3};
 
-use crate::scene::{Alpha, Material, Mesh, Scene};
+use crate::scene::{Material, Mesh, Scene};
 pub use level::{Level, Met};
 pub use shaft::Sight;
+pub use surface::Scattered;
 pub use tree::Tree;
 pub use triangle::TreeHit;
+use twins::Twins;
+pub(crate) use twins::{counts_before, search_limit};
 
 /// Half the size of the level in trace units lies in `TRACE_EXTENT/2 ..= TRACE_EXTENT`.
 const TRACE_EXTENT: f64 = 512.0;
-
-/// Two triangles lie in one place if a ray meets them within this share of its length.
-const BACK_TO_BACK: f32 = 1e-5;
 
 /// Partly clear surfaces that one ray may cross; past them the rest of the ray is lost.
 pub(crate) const MAX_LAYERS: u32 = 64;
@@ -106,6 +108,7 @@ pub struct Surfaces {
     sources: Vec<Source>,
     /// Only some materials need a look at alpha; without one, no hit asks.
     any_clear: bool,
+    twins: Twins,
 }
 
 /// A point on a surface.
@@ -119,7 +122,7 @@ pub struct Hit {
     pub normal: Vec3,
     /// The ray met the back of the triangle (by its winding).
     pub back: bool,
-    /// What a ray loses here, 0..=1 (1 for opaque).
+    /// With this probability a ray stops here, 0..=1 (1 for opaque); what goes on is multiplied by [`Surfaces::tint`].
     pub opacity: f32,
     /// Index into the surfaces that were hit.
     pub triangle: u32,
@@ -135,7 +138,7 @@ impl Surfaces {
         let mut sources = Vec::new();
         let mut any_clear = false;
         for (index, mesh) in scene.meshes.iter().enumerate().filter(|(_, m)| keep(m)) {
-            any_clear |= scene.materials[mesh.material as usize].alpha != Alpha::Opaque;
+            any_clear |= scene.materials[mesh.material as usize].is_clear();
             for (triangle, &ids) in mesh.triangles.iter().enumerate() {
                 corners.push(ids.map(|i| frame.to_trace(mesh.positions[i as usize])));
                 sources.push(Source { mesh: index as u32, triangle: triangle as u32 });
@@ -144,7 +147,8 @@ impl Surfaces {
         if corners.is_empty() {
             return None;
         }
-        Some(Surfaces { tree: Tree::build(&corners), corners, sources, any_clear })
+        let twins = Twins::new(corners.len());
+        Some(Surfaces { tree: Tree::build(&corners), corners, sources, any_clear, twins })
     }
 
     /// How many triangles.
@@ -162,23 +166,43 @@ impl Surfaces {
         self.any_clear
     }
 
-    /// Nearest surface along the ray with `t_min < t < t_max`, holes skipped.
+    /// Nearest surface along the ray with `t_min < t < t_max`, holes skipped. Of faces back to back it is the one whose front
+    /// the ray meets.
     pub fn closest(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> Option<Hit> {
-        let mut opacity = 1.0;
-        let hit = if self.any_clear {
-            self.tree.closest(origin, direction, t_min, t_max, |hit| {
-                let here = self.opacity(scene, hit);
-                let counts = here > 0.0;
-                if counts {
-                    opacity = here;
+        let mut after = t_min;
+        loop {
+            let (mut hit, mut opacity) = self.nearest(scene, origin, direction, after, t_max)?;
+            let mut back = geometric_normal(&self.corners[hit.triangle as usize]).dot(direction) > 0.0;
+            if back
+                && self.has_twin(hit.triangle)
+                && let Some((front, front_opacity)) = self.front_at(scene, origin, direction, &hit)
+            {
+                if front.t <= t_min {
+                    // The ray has passed the front, and with it the back.
+                    after = hit.t;
+                    continue;
                 }
-                counts
-            })
-        } else {
-            self.tree.closest(origin, direction, t_min, t_max, |_| true)
-        }?;
-        let back = geometric_normal(&self.corners[hit.triangle as usize]).dot(direction) > 0.0;
-        Some(Hit { t: hit.t, opacity, ..self.point(hit.triangle, Vec2::new(hit.v, hit.w), back) })
+                // Past both.
+                let t = front.t.max(hit.t);
+                (hit, opacity, back) = (TreeHit { t, ..front }, front_opacity, false);
+            }
+            return Some(Hit { t: hit.t, opacity, ..self.point(hit.triangle, Vec2::new(hit.v, hit.w), back) });
+        }
+    }
+
+    /// The nearest hit as the tree has it, and its opacity.
+    #[inline]
+    fn nearest(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> Option<(TreeHit, f32)> {
+        if !self.any_clear {
+            return self.tree.closest(origin, direction, t_min, t_max, |_| true).map(|hit| (hit, 1.0));
+        }
+        let mut opacity = 1.0;
+        let hit = self.tree.closest(origin, direction, t_min, t_max, |hit| {
+            let here = self.counting_opacity(scene, hit, direction);
+            opacity = here.unwrap_or(opacity);
+            here.is_some()
+        })?;
+        Some((hit, opacity))
     }
 
     /// The nearest surface along the ray with `t < t_max` that shows itself: what lets half through or more does not.
@@ -192,16 +216,6 @@ impl Surfaces {
             passed = hit.t;
         }
         None
-    }
-
-    /// The front of some opaque triangle lies where a ray met a back, at `t`: two that stand back to back.
-    pub(super) fn has_front_at(&self, origin: Vec3, direction: Vec3, t: f32) -> bool {
-        let mut found = false;
-        self.tree.any(origin, direction, t * (1.0 - BACK_TO_BACK), t * (1.0 + BACK_TO_BACK), |hit| {
-            found |= geometric_normal(&self.corners[hit.triangle as usize]).dot(direction) < 0.0;
-            !found
-        });
-        found
     }
 
     /// A place on a triangle, seen from its front or back; opaque, at t = 0.
@@ -225,33 +239,47 @@ impl Surfaces {
         &self.corners[triangle as usize]
     }
 
-    /// Share of light that passes from `from` to `to` (trace positions), 0..=1, `ignore` left out of account. The line
-    /// ends some ulps before `to`: what stands exactly on a surface is not hidden by it.
-    pub fn transmittance(&self, scene: &Scene, from: Vec3, to: Vec3, ignore: Option<u32>) -> f32 {
-        let ignore = ignore.unwrap_or(u32::MAX);
+    /// Share of light that passes from `from` to `to` (trace positions), by colour, 0..=1, `ignore` and faces back to back
+    /// with it left out of account. The line ends some ulps before `to`: what stands exactly on a surface is not hidden by it.
+    pub fn transmittance(&self, scene: &Scene, from: Vec3, to: Vec3, ignore: Option<u32>) -> Vec3 {
         let line = to - from;
         let end = 1.0 - off_surface(to) / line.length();
         self.clear_share(scene, from, line, end, ignore)
     }
 
-    /// Share of light that escapes from `origin` along `direction`, 0..=1.
-    pub fn escaping(&self, scene: &Scene, origin: Vec3, direction: Vec3) -> f32 {
-        self.clear_share(scene, origin, direction, f32::INFINITY, u32::MAX)
+    /// Share of light that escapes from `origin` along `direction`, by colour, 0..=1.
+    pub fn escaping(&self, scene: &Scene, origin: Vec3, direction: Vec3) -> Vec3 {
+        self.clear_share(scene, origin, direction, f32::INFINITY, None)
     }
 
-    fn clear_share(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_max: f32, ignore: u32) -> f32 {
-        if !self.any_clear {
-            return f32::from(!self.tree.is_hit(origin, direction, 0.0, t_max, ignore));
+    fn clear_share(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_max: f32, ignore: Option<u32>) -> Vec3 {
+        let twin = ignore.filter(|triangle| self.has_twin(*triangle));
+        if !self.any_clear && twin.is_none() {
+            let is_hit = self.tree.is_hit(origin, direction, 0.0, t_max, ignore.unwrap_or(u32::MAX));
+            return if is_hit { Vec3::ZERO } else { Vec3::ONE };
         }
-        let mut clear = 1.0;
+        let mut clear = Vec3::ONE;
         self.tree.any(origin, direction, 0.0, t_max, |hit| {
-            if hit.triangle == ignore {
+            if Some(hit.triangle) == ignore || twin.is_some_and(|twin| self.are_back_to_back(twin, hit.triangle)) {
                 return true;
             }
-            clear *= 1.0 - self.opacity(scene, hit);
-            clear > 0.0
+            let passes = match self.any_clear {
+                true => self.clear_at(scene, hit.triangle, Vec2::new(hit.v, hit.w), direction),
+                false => Vec3::ZERO,
+            };
+            if passes != Vec3::ONE && !(self.any_clear && self.is_behind_its_front(scene, origin, direction, hit)) {
+                clear *= passes;
+            }
+            clear != Vec3::ZERO
         });
         clear
+    }
+
+    /// The hit is on a back that a front in the same place stands for.
+    fn is_behind_its_front(&self, scene: &Scene, origin: Vec3, direction: Vec3, hit: &TreeHit) -> bool {
+        geometric_normal(&self.corners[hit.triangle as usize]).dot(direction) > 0.0
+            && self.has_twin(hit.triangle)
+            && self.front_at(scene, origin, direction, hit).is_some()
     }
 
     /// A start for rays that leave the surface on the side of `hit.normal`: off it by some ulps of the triangle's
@@ -288,67 +316,6 @@ impl Surfaces {
     /// angles, is the object's own.
     pub fn smooth(&self, scene: &Scene, hit: Hit) -> Hit {
         Hit { normal: self.shading_normal(scene, &hit), ..hit }
-    }
-
-    /// Diffuse albedo, linear RGB: base colour × texture × vertex colour × (1 - metallic); black where unlit.
-    pub fn albedo(&self, scene: &Scene, hit: &Hit) -> Vec3 {
-        let material = self.material(scene, hit.triangle);
-        if material.unlit {
-            return Vec3::ZERO;
-        }
-        self.base_color(scene, hit.triangle, hit.barycentric).truncate() * (1.0 - material.metallic)
-    }
-
-    /// Emitted radiance toward the side the ray came from, linear RGB.
-    pub fn emission(&self, scene: &Scene, hit: &Hit) -> Vec3 {
-        let material = self.material(scene, hit.triangle);
-        if material.emission == Vec3::ZERO || (hit.back && !material.double_sided) {
-            return Vec3::ZERO;
-        }
-        let texel = self.texel(scene, hit.triangle, hit.barycentric, material.emission_texture);
-        material.emission * texel.truncate()
-    }
-
-    /// What a ray loses at a place on a triangle, 0..=1.
-    pub fn opacity_at(&self, scene: &Scene, triangle: u32, barycentric: Vec2) -> f32 {
-        let material = self.material(scene, triangle);
-        match material.alpha {
-            Alpha::Opaque => 1.0,
-            Alpha::Mask(cutoff) => f32::from(self.base_color(scene, triangle, barycentric).w >= cutoff),
-            Alpha::Blend => self.base_color(scene, triangle, barycentric).w.clamp(0.0, 1.0),
-        }
-    }
-
-    fn opacity(&self, scene: &Scene, hit: &TreeHit) -> f32 {
-        self.opacity_at(scene, hit.triangle, Vec2::new(hit.v, hit.w))
-    }
-
-    /// Base colour × texture × vertex colour, linear, alpha last.
-    pub fn base_color(&self, scene: &Scene, triangle: u32, barycentric: Vec2) -> Vec4 {
-        let mesh = self.mesh(scene, triangle);
-        let material = &scene.materials[mesh.material as usize];
-        let mut color = material.base_color * self.texel(scene, triangle, barycentric, material.base_color_texture);
-        if !mesh.colors.is_empty() {
-            color *= self.interpolate(scene, triangle, barycentric, &mesh.colors);
-        }
-        color
-    }
-
-    fn texel(
-        &self,
-        scene: &Scene,
-        triangle: u32,
-        barycentric: Vec2,
-        texture: Option<crate::scene::TextureUse>,
-    ) -> Vec4 {
-        let Some(texture) = texture else { return Vec4::ONE };
-        let uvs = &self.mesh(scene, triangle).uvs[texture.uv_set as usize];
-        if uvs.is_empty() {
-            return Vec4::ONE;
-        }
-        let uv = self.interpolate(scene, triangle, barycentric, uvs);
-        let uv = texture.transform.transform_point2(uv);
-        scene.textures[texture.texture as usize].sample(uv)
     }
 
     fn interpolate<T>(&self, scene: &Scene, triangle: u32, barycentric: Vec2, values: &[T]) -> T

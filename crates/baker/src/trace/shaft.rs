@@ -17,7 +17,7 @@ use glam::{DVec3, Vec3};
 
 use super::node::{Node, WIDTH};
 use super::{Surfaces, off_surface};
-use crate::scene::{Alpha, Scene};
+use crate::scene::Scene;
 
 /// What of a patch is seen from a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,7 +68,7 @@ impl Surfaces {
         let mut hidden = false;
         self.tree.any(middle, point - middle, 0.0, 1.0, |hit| {
             hidden = hit.triangle != own
-                && self.material(scene, hit.triangle).alpha == Alpha::Opaque
+                && !self.material(scene, hit.triangle).is_clear()
                 && shaft.is_blocked_by(&self.corners[hit.triangle as usize]);
             !hidden
         });
@@ -209,7 +209,11 @@ mod tests {
                     let (v, w) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
                     let start = patch[0] * (1.0 - v - w) + patch[1] * v + patch[2] * w + Vec3::Z * 1e-6;
                     let clear = surfaces.transmittance(&scene, start, point, Some(0));
-                    assert_eq!(clear, expected, "{sight:?} from {point} to {start}, {small} and {large} triangles");
+                    assert_eq!(
+                        clear,
+                        Vec3::splat(expected),
+                        "{sight:?} from {point} to {start}, {small} and {large} triangles"
+                    );
                 }
             }
         }

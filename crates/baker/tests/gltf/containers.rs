@@ -27,6 +27,39 @@ fn byte_order_mark_and_white_space_are_skipped() {
 }
 
 #[test]
+fn json_that_others_read_is_read() {
+    let level = Level::triangle();
+    let text = String::from_utf8(level.to_gltf()).unwrap();
+    let read = |text: &[u8]| parse_level(text, "a.gltf".as_ref(), &GltfOptions::default()).unwrap();
+    // Integers with a fraction of 0, in every place where there is an integer.
+    let spread = text.replace(":0,", ":0.0,").replace(":3,", ":3.0,").replace(":5126,", ":5.126e3,");
+    let spread = spread.replace("[0]", "[0.0]").replace(":36,", ":36.0,").replace(":36}", ":36.0}");
+    assert!(spread.matches(".0").count() > 6 && spread.contains("5.126e3"), "{spread}");
+    assert_eq!(read(spread.as_bytes()).meshes[0].positions, level.read().unwrap().meshes[0].positions);
+    // Members that are null are absent.
+    let nulls =
+        text.replace("{\"mesh\":", "{\"children\":null,\"skin\":null,\"matrix\":null,\"extras\":null,\"mesh\":");
+    assert!(nulls.contains("null"));
+    assert_eq!(triangle_count(&read(nulls.as_bytes())), 1);
+    // Padding by zeros, as text and as chunk.
+    assert_eq!(triangle_count(&read(&[text.as_bytes(), &[0; 5]].concat())), 1);
+    let mut json = level.json.clone();
+    json["buffers"] = json!([{ "byteLength": level.bytes.len() }]);
+    let mut chunk = serde_json::to_vec(&json).unwrap();
+    chunk.resize(chunk.len().next_multiple_of(4) + 4, 0);
+    assert_eq!(triangle_count(&read(&glb(&[(*b"JSON", &chunk), (*b"BIN\0", &level.bytes)]))), 1);
+    // Names in Latin-1, and cut between surrogates.
+    let named = |name: &[u8]| {
+        let at = text.find("{\"mesh\":").unwrap() + 1;
+        let name = [b"\"name\":\"".as_slice(), name, b"\","].concat();
+        read(&[&text.as_bytes()[..at], &name, &text.as_bytes()[at..]].concat())
+    };
+    assert_eq!(finding(&named(b"W\xE4nde"), "json-not-utf8"), 1);
+    assert_eq!(finding(&named(br"W\ud83d"), "json-lone-surrogates"), 1);
+    assert!(named("Wände".as_bytes()).findings.is_empty());
+}
+
+#[test]
 fn glb_skips_unknown_chunks_and_tells_of_trailing_bytes() {
     let level = Level::triangle();
     let mut json = level.json.clone();

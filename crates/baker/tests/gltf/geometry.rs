@@ -1,5 +1,6 @@
 //! Accessors and primitives.
 
+use gdibl_baker::bake::Nodes;
 use glam::{DVec3, Vec3};
 use serde_json::json;
 
@@ -152,6 +153,63 @@ fn vertices_that_nobody_uses_are_left_out() {
     let scene = level.read().unwrap();
     assert_eq!(scene.meshes[0].positions, [DVec3::ZERO, DVec3::X, DVec3::Y]);
     assert!(scene.findings.is_empty());
+    // Their numbers are kept.
+    assert_eq!((scene.meshes[0].file_count, &scene.meshes[0].file_numbers[..]), (5, &[1, 3, 4][..]));
+}
+
+/// Positions and sets of the vertices of a level.
+fn vertices_of(level: &Level) -> (Vec<DVec3>, Vec<[u32; 5]>) {
+    let Nodes::Vertices { positions, normals, inward, sets } = Nodes::vertices_of(&level.read().unwrap()) else {
+        panic!("vertices")
+    };
+    assert_eq!([normals.len(), inward.len()], [positions.len(); 2]);
+    let sets = sets.iter().map(|set| [set.node, set.mesh, set.primitive, set.first, set.count]);
+    (positions, sets.collect())
+}
+
+#[test]
+fn vertices_keep_the_files_order_and_count() {
+    let mut level = Level::triangle();
+    let position =
+        level.floats("VEC3", &[9., 9., 9., 0., 1., 0., f32::NAN, 0., 0., 1., 0., 0., 0., 0., 0., 7., 7., 7.]);
+    let indices = level.indices(&[4, 3, 1]);
+    *level.primitive("attributes") = json!({ "POSITION": position });
+    *level.primitive("indices") = json!(indices);
+    let (positions, sets) = vertices_of(&level);
+    assert_eq!(sets, [[0, 0, 0, 0, 6]]);
+    // Those without a triangle stand where another does.
+    assert_eq!(positions, [DVec3::Y, DVec3::Y, DVec3::Y, DVec3::X, DVec3::ZERO, DVec3::ZERO]);
+}
+
+#[test]
+fn primitives_that_share_vertices_share_nodes_and_instances_follow_one_another() {
+    let mut level = Level::triangle();
+    let position = level.floats("VEC3", &[0., 0., 0., 1., 0., 0., 0., 1., 0., 5., 5., 5., 1., 1., 0.]);
+    let (first, second) = (level.indices(&[0, 1, 2]), level.indices(&[1, 4, 2]));
+    let own = level.floats("VEC3", &[0., 0., 1., 1., 0., 1., 0., 1., 1.]);
+    level.json["meshes"][0]["primitives"] = json!([
+        { "attributes": { "POSITION": position }, "indices": first },
+        { "attributes": { "POSITION": own } },
+        { "attributes": { "POSITION": position }, "indices": second },
+    ]);
+    let (positions, sets) = vertices_of(&level);
+    assert_eq!(sets, [[0, 0, 0, 0, 5], [0, 0, 1, 5, 3], [0, 0, 2, 0, 5]]);
+    let corner = DVec3::new(1.0, 1.0, 0.0);
+    assert_eq!(positions[..5], [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Y, corner]);
+    // Three instances.
+    let moves = level.floats("VEC3", &[0., 0., 0., 0., 0., 2., 0., 0., 4.]);
+    level.json["nodes"][0]["extensions"] =
+        json!({ "EXT_mesh_gpu_instancing": { "attributes": { "TRANSLATION": moves } } });
+    let (positions, sets) = vertices_of(&level);
+    assert_eq!(sets, [[0, 0, 0, 0, 15], [0, 0, 1, 15, 9], [0, 0, 2, 0, 15]]);
+    for instance in 0..3 {
+        let place = DVec3::Z * 2.0 * instance as f64;
+        assert_eq!([positions[5 * instance + 4], positions[15 + 3 * instance]], [corner + place, DVec3::Z + place]);
+    }
+    // Two nodes of one mesh have vertices of their own.
+    level.json["nodes"] = json!([{ "mesh": 0 }, { "mesh": 0 }]);
+    level.json["scenes"] = json!([{ "nodes": [0, 1] }]);
+    assert_eq!(vertices_of(&level).1[3..], [[1, 0, 0, 8, 5], [1, 0, 1, 13, 3], [1, 0, 2, 8, 5]]);
 }
 
 #[test]

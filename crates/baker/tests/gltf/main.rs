@@ -4,6 +4,7 @@ mod builder;
 mod compressed;
 mod containers;
 mod geometry;
+mod light;
 mod materials;
 mod mutations;
 mod nodes;

@@ -1,11 +1,12 @@
 //! Materials, and which textures are decoded.
 
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds};
-use gdibl_baker::scene::{Alpha, Wrap};
+use gdibl_baker::radiance::path::specular_left_out;
+use gdibl_baker::scene::{Alpha, Metals, Scene, Wrap};
 use glam::{Vec2, Vec3, Vec4};
 use serde_json::json;
 
-use crate::builder::{Level, encode, finding, png, push};
+use crate::builder::{Level, assert_unsupported, data_uri, encode, finding, png, push};
 
 const WHITE: [u8; 4] = [255; 4];
 
@@ -34,9 +35,12 @@ fn material_factors_are_read() {
     assert_eq!((default.roughness, opaque.roughness), (1.0, 1.0));
     assert_eq!(lamp.emission, Vec3::new(8., 4., 0.));
     assert_eq!((opaque.alpha, opaque.base_color.w), (Alpha::Opaque, 1.0));
-    assert_eq!((glass.alpha, glass.base_color.w), (Alpha::Blend, 0.25));
+    assert_eq!((glass.alpha, glass.base_color.w, glass.transmission), (Alpha::Opaque, 1.0, 0.75));
+    assert!(glass.is_clear() && !opaque.is_clear());
     assert!(unlit.unlit && unlit.emission == Vec3::new(0.1, 0.2, 0.3));
-    assert_eq!((old.base_color, old.metallic), (Vec4::new(0.5, 0.6, 0.7, 1.0), 0.0));
+    // Absent, specular is white, and leaves nothing to diffuse reflection.
+    assert_eq!((old.base_color, old.metallic, old.metals), (Vec4::new(0.5, 0.6, 0.7, 1.0), 1.0, Metals::Black));
+    assert_eq!((default.metals, lamp.metals), (Metals::Diffuse, Metals::Diffuse));
     assert_eq!(wild.base_color, Vec4::new(1.0, 0.0, 0.5, 1.0));
     assert_eq!(finding(&scene, "clamped-material-factors"), 2);
     assert_eq!(scene.meshes[0].material, 0);
@@ -140,8 +144,8 @@ fn texture_lookups_carry_set_transform_and_wrap() {
     let (base, emission) = (material.base_color_texture.unwrap(), material.emission_texture.unwrap());
     assert_eq!((base.uv_set, emission.uv_set), (0, 1));
     assert_eq!((scene.meshes[0].uvs[0].len(), scene.meshes[0].uvs[1].len()), (3, 3));
-    assert_eq!(scene.textures[base.texture as usize].wrap, [Wrap::ClampToEdge, Wrap::MirroredRepeat]);
-    assert_eq!(scene.textures[emission.texture as usize].wrap, [Wrap::Repeat; 2]);
+    assert_eq!(scene.textures[base.texture as usize].sampler.wrap, [Wrap::ClampToEdge, Wrap::MirroredRepeat]);
+    assert_eq!(scene.textures[emission.texture as usize].sampler.wrap, [Wrap::Repeat; 2]);
     // offset · rotation · scale: (1,0) → (2,0) → (0,-2), counter-clockwise where v grows downwards.
     assert!((base.transform(Vec2::X) - Vec2::new(0.5, -1.75)).length() < 1e-6, "{}", base.transform(Vec2::X));
     assert!((base.transform(Vec2::Y) - Vec2::new(3.5, 0.25)).length() < 1e-6, "{}", base.transform(Vec2::Y));
@@ -172,18 +176,87 @@ fn transmission_does_not_wake_the_alpha_of_an_opaque_texture() {
     let level = Level::textured(glass, &png(1, 1, &[[255, 255, 255, 0]]));
     let scene = level.read_all().unwrap();
     assert_eq!(scene.textures[0].sample(Vec2::ZERO), Vec4::ONE);
-    assert_eq!((scene.materials[1].base_color.w, scene.materials[1].alpha), (0.5, Alpha::Blend));
-    assert!(level.read().unwrap().textures.is_empty());
+    assert_eq!((scene.materials[1].transmission, scene.materials[1].alpha), (0.5, Alpha::Opaque));
+    // Its colour tints what goes through, whoever bakes.
+    assert_eq!(level.read().unwrap().textures, scene.textures);
 }
 
 #[test]
-fn metallic_is_the_mean_of_its_texture() {
-    // Most exporters write factor 1 and let the texture say "not metal": without it every wall would be black.
+fn metallic_maps_are_kept_where_they_vary_and_are_needed() {
+    // Most exporters write factor 1 and let the texture say "not metal": without it every wall would be a metal.
     let material = json!({ "pbrMetallicRoughness": { "metallicRoughnessTexture": { "index": 0 } } });
-    let level = Level::textured(material, &png(2, 1, &[[255, 255, 0, 255], [0, 0, 51, 255]]));
-    let scene = level.read_all().unwrap();
-    assert!((scene.materials[1].metallic - 0.1).abs() < 1e-6);
-    assert!(scene.textures.is_empty());
+    let varied = Level::textured(material.clone(), &png(2, 1, &[[255, 255, 0, 255], [0, 0, 51, 255]]));
+    let scene = varied.read_all().unwrap();
+    let map = scene.materials[1].metallic_map.unwrap();
+    assert_eq!((scene.materials[1].metallic, &scene.maps[map.texture as usize].values[..]), (1.0, &[0, 51][..]));
+    let map = scene.materials[1].roughness_map.unwrap();
+    assert_eq!(scene.maps[map.texture as usize].values, [255, 0]);
+    assert!(scene.textures.is_empty() && !scene.meshes[0].uvs[0].is_empty());
+    // One value all over is a factor.
+    let even = Level::textured(material, &png(2, 1, &[[255, 102, 51, 255]; 2])).read_all().unwrap();
+    let material = &even.materials[1];
+    assert!((material.metallic - 0.2).abs() < 1e-6 && (material.roughness - 0.4).abs() < 1e-6);
+    assert!(even.maps.is_empty() && material.metallic_map.is_none() && even.meshes[0].uvs[0].is_empty());
+    // A bake by probes needs none of it, and knows that it does not know.
+    let scene = varied.read().unwrap();
+    assert!(scene.maps.is_empty() && scene.materials[1].metallic_unknown);
+}
+
+#[test]
+fn metals_are_told_of_by_what_is_known() {
+    let material = json!({ "pbrMetallicRoughness": { "metallicRoughnessTexture": { "index": 0 } } });
+    let picture = [[0, 255, 0, 255], [0, 255, 51, 255]];
+    let level = Level::textured(material, &png(2, 1, &picture));
+    let told = |scene: &Scene| specular_left_out(scene).map(|finding| finding.message);
+    // A tenth, by the mean of the texture.
+    let message = told(&level.read_all().unwrap()).unwrap();
+    assert!(message.contains("reflect 10 % of") && message.contains("--metals black"), "{message}");
+    let message = told(&level.read().unwrap()).unwrap();
+    assert!(message.contains("may reflect") && !message.contains("100 %"), "{message}");
+    let black = GltfOptions { textures: TextureNeeds::All, metals: Metals::Black, ..Default::default() };
+    assert!(told(&level.read_with(&black).unwrap()).unwrap().contains("they are black here"));
+    let plain = json!({ "pbrMetallicRoughness": { "metallicFactor": 0 } });
+    assert_eq!(told(&Level::textured(plain, &png(1, 1, &[WHITE])).read_all().unwrap()), None);
+}
+
+#[test]
+fn missing_textures_are_grey_and_told_where_that_is_allowed() {
+    let material = json!({ "pbrMetallicRoughness": {
+        "baseColorTexture": { "index": 0 }, "metallicRoughnessTexture": { "index": 1 },
+    } });
+    let mut level = Level::textured(material, b"no image");
+    level.json["images"] = json!([{ "uri": "missing.png" }, { "uri": "missing too.png" }]);
+    push(&mut level.json, "textures", json!({ "source": 1 }));
+    assert!(level.read_all().is_err());
+    let options = GltfOptions { textures: TextureNeeds::All, allow_missing_textures: true, ..Default::default() };
+    let scene = level.read_with(&options).unwrap();
+    assert_eq!(finding(&scene, "missing-textures"), 2);
+    let grey = scene.textures[0].sample(Vec2::splat(0.5));
+    assert!((grey - Vec4::new(0.18, 0.18, 0.18, 1.0)).abs().max_element() < 0.005, "{grey}");
+    assert_eq!(scene.materials[1].metallic, 0.0);
+    // Damaged, or of a format that is not read: the same.
+    for bytes in [&b"no image"[..], b"\0\0\0\x1Cftypavif\0\0\0\0"] {
+        level.json["images"] = json!([{ "uri": data_uri("image/png", bytes) }, { "uri": "missing too.png" }]);
+        assert_eq!(finding(&level.read_with(&options).unwrap(), "missing-textures"), 2);
+    }
+    level.json["textures"] = json!([{ "extensions": { "KHR_texture_basisu": { "source": 0 } } }, { "source": 1 }]);
+    assert_eq!(finding(&level.read_with(&options).unwrap(), "missing-textures"), 2);
+}
+
+#[test]
+fn images_in_formats_that_are_not_read_are_named_with_what_converts_them() {
+    let material = || json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } });
+    let avif = "gltf-transform png IN OUT --formats \"*\"";
+    for (bytes, name, tool) in [
+        (&b"\0\0\0\x1Cftypavif\0\0\0\0"[..], "AVIF", avif),
+        (b"\0\0\0\x0CjP  \r\n\x87\n\0\0\0\x14ftypjp2 ", "JPEG 2000", "an image converter"),
+        (b"\0\0\0\x0CJXL \r\n\x87\n", "JPEG XL", "an image converter"),
+    ] {
+        assert_unsupported(Level::textured(material(), bytes).read_all(), &["image 0", name, tool]);
+    }
+    let mut level = Level::textured(material(), b"");
+    level.json["textures"] = json!([{ "extensions": { "EXT_texture_avif": { "source": 0 } } }]);
+    assert_unsupported(level.read_all(), &["texture 0", "AVIF", avif]);
 }
 
 #[test]

@@ -3,9 +3,9 @@
 use gdibl_baker::import::gltf::GltfOptions;
 use gdibl_baker::scene::{PunctualKind, Role};
 use glam::{DVec3, Vec3};
-use serde_json::json;
+use serde_json::{Value, json};
 
-use crate::builder::{Level, finding, triangle_count};
+use crate::builder::{Level, assert_invalid, finding, push, triangle_count};
 
 #[test]
 fn transforms_compose_in_f64() {
@@ -115,9 +115,13 @@ fn hidden_nodes_and_skins_are_findings() {
         { "mesh": 0 },
     ]);
     level.json["scenes"] = json!([{ "nodes": [0, 1] }]);
+    level.json["skins"] = json!([{ "joints": [2] }]);
     let scene = level.read().unwrap();
     assert_eq!(triangle_count(&scene), 1);
     assert_eq!((finding(&scene, "hidden-nodes"), finding(&scene, "skinned-meshes")), (1, 1));
+    assert_eq!(finding(&scene, "skins-without-joints"), 1, "its vertices name none");
+    level.json["skins"] = json!([]);
+    assert_invalid(level.read(), &["node 0", "skin 0 does not exist"]);
 }
 
 #[test]
@@ -171,4 +175,102 @@ fn lights_are_placed_with_range_and_cone() {
     let quarter = std::f32::consts::FRAC_PI_4;
     assert_eq!(default_spot.kind, PunctualKind::Spot { inner_cone_radians: 0.0, outer_cone_radians: quarter });
     assert_eq!((finding(&scene, "unknown-lights"), finding(&scene, "light-ranges")), (1, 1));
+}
+
+#[test]
+fn roles_of_meshes_and_materials_count() {
+    let read = |node: Value, mesh: Value, material: Value| {
+        let mut level = Level::triangle();
+        level.json["nodes"] = json!([{ "extras": node, "children": [1] }, { "mesh": 0 }]);
+        level.json["meshes"][0]["extras"] = mesh;
+        level.json["materials"] = json!([{ "extras": material }]);
+        *level.primitive("material") = json!(0);
+        level.read().unwrap().meshes.first().map(|mesh| mesh.role)
+    };
+    let role = |role: &str| json!({ "gdibl_role": role });
+    let nothing = || json!({});
+    assert_eq!(read(nothing(), role("scene"), nothing()), Some(Role::Scene));
+    assert_eq!(read(nothing(), nothing(), role("scene")), Some(Role::Scene));
+    assert_eq!(read(nothing(), role("ignore"), nothing()), None);
+    assert_eq!(read(nothing(), nothing(), role("ignore")), None);
+    // What is inherited counts least, what the material says most; an ignored node stays ignored.
+    assert_eq!(read(role("scene"), role("environment"), nothing()), Some(Role::Environment));
+    assert_eq!(read(nothing(), role("environment"), role("scene")), Some(Role::Scene));
+    assert_eq!(read(role("ignore"), role("scene"), role("scene")), None);
+    let mut level = Level::triangle();
+    level.json["nodes"] = json!([{ "mesh": 0, "extras": role("environment") }]);
+    level.json["meshes"][0]["extras"] = role("scene");
+    assert_eq!(level.read().unwrap().meshes[0].role, Role::Environment, "the node's own counts before the mesh's");
+    level.json["meshes"][0]["extras"] = json!({ "gdibl_role": "prop" });
+    level.json["nodes"] = json!([{ "mesh": 0 }]);
+    assert_invalid(level.read(), &["mesh 0", "gdibl_role", "prop", "environment"]);
+}
+
+#[test]
+fn properties_that_are_not_understood_are_findings() {
+    let mut level = Level::triangle();
+    level.json["nodes"][0]["extras"] =
+        json!({ "gdibl_rol": "scene", "GDIBL_role": 1, "gdibl_role": "scene", "other": 1 });
+    level.json["meshes"][0]["extras"] = json!({ "gdibl_probe": "a.exr" });
+    level.json["scenes"][0]["extras"] = json!({ "gdibl_role": "scene" });
+    level.json["extensions"] =
+        json!({ "KHR_lights_punctual": { "lights": [{ "type": "point", "extras": { "gdibl_x": 1 } }] } });
+    let scene = level.read().unwrap();
+    assert_eq!(finding(&scene, "unknown-properties"), 5);
+    let message = &scene.findings.iter().find(|finding| finding.id == "unknown-properties").unwrap().message;
+    for place in ["nodes[0].extras.gdibl_rol ", "nodes[0].extras.GDIBL_role", "meshes[0].extras.gdibl_probe"] {
+        assert!(message.contains(place), "{message}");
+    }
+    assert!(
+        message.contains("scenes[0].extras.gdibl_role") && message.contains("lights[0].extras.gdibl_x"),
+        "{message}"
+    );
+    assert!(finding(&Level::triangle().read().unwrap(), "unknown-properties") == 0);
+}
+
+#[test]
+fn lower_levels_of_detail_are_left_out() {
+    let mut level = Level::triangle();
+    level.json["nodes"] = json!([
+        { "mesh": 0, "extensions": { "MSFT_lod": { "ids": [1, 2] } } },
+        { "mesh": 0, "children": [3] },
+        { "mesh": 0, "extensions": { "MSFT_lod": { "ids": [0, 2] } } },
+        { "mesh": 0 },
+    ]);
+    level.json["extensionsRequired"] = json!(["MSFT_lod"]);
+    // Beside it in the scene, as some exporters have them, or only named.
+    for (roots, left_out) in [(json!([0, 1, 2]), 2), (json!([0]), 0)] {
+        level.json["scenes"] = json!([{ "nodes": roots }]);
+        let scene = level.read().unwrap();
+        assert_eq!((scene.meshes.len(), scene.meshes[0].node), (1, 0));
+        assert_eq!(finding(&scene, "lower-levels-of-detail"), left_out);
+    }
+}
+
+#[test]
+fn lamps_in_lumens_beside_emitters_in_watts_are_told() {
+    // A lamp of P watts has P / 4π candela at one lumen per watt; a square metre that emits π W at a radiance of 1.
+    let watts = 10.0;
+    let level = |lumens: f64, emission: f64| {
+        let mut level = Level::triangle();
+        level.json["materials"] = json!([{ "emissiveFactor": [emission, emission, emission] }]);
+        *level.primitive("material") = json!(0);
+        let intensity = watts * lumens / (4.0 * std::f64::consts::PI);
+        level.json["extensions"] =
+            json!({ "KHR_lights_punctual": { "lights": [{ "type": "point", "intensity": intensity }] } });
+        push(&mut level.json, "nodes", json!({ "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
+        level.json["scenes"] = json!([{ "nodes": [0, 1] }]);
+        level
+    };
+    let told =
+        |level: &Level, options: &GltfOptions| finding(&level.read_with(options).unwrap(), "lamps-outshine-emitters");
+    let plain = GltfOptions::default();
+    assert_eq!(told(&level(683.0, 1.0), &plain), 1);
+    assert_eq!(told(&level(1.0, 1.0), &plain), 0);
+    assert_eq!(told(&level(683.0, 0.0), &plain), 0, "nothing to compare with");
+    let divided = GltfOptions { lumens_per_watt: Some(683.0), ..GltfOptions::default() };
+    assert_eq!(told(&level(683.0, 1.0), &divided), 0);
+    let [blender, unitless] = [(683.0, &divided), (1.0, &plain)]
+        .map(|(lumens, options)| level(lumens, 1.0).read_with(options).unwrap().lights[0].intensity);
+    assert!((blender - unitless).abs().max_element() < 1e-6, "{blender} {unitless}");
 }

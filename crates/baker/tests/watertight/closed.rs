@@ -154,7 +154,7 @@ impl Closed {
             if let Some(hit) = hit {
                 assert!(hit.t > 0.0 && hit.position.is_finite() && hit.normal.is_normalized(), "{hit:?}");
             }
-            u64::from(hit.is_none()) + u64::from(clear != 0.0)
+            u64::from(hit.is_none()) + u64::from(clear != Vec3::ZERO)
         };
         (0..count).into_par_iter().map(escapes).sum()
     }

@@ -237,7 +237,7 @@ fn one_triangle_blocks_from_both_sides_up_to_its_edges() {
         for (z, direction) in [(0.0, Vec3::Z), (10.0, Vec3::NEG_Z)] {
             let found = surfaces.closest(&scene, Vec3::new(x, y, z), direction, 0.0, f32::INFINITY);
             assert_eq!(found.is_some(), hit, "{x} {y} from {z}");
-            assert_eq!(surfaces.escaping(&scene, Vec3::new(x, y, z), direction), f32::from(!hit));
+            assert_eq!(surfaces.escaping(&scene, Vec3::new(x, y, z), direction), Vec3::splat(f32::from(!hit)));
             if let Some(found) = found {
                 assert_eq!((found.t, found.normal), (5.0, -direction), "the normal faces the ray");
                 assert_eq!(found.back, direction == Vec3::Z, "by its winding it faces +z");
@@ -245,12 +245,12 @@ fn one_triangle_blocks_from_both_sides_up_to_its_edges() {
         }
     }
     let [below, above] = [Vec3::new(1.0, 1.0, 0.0), Vec3::new(1.0, 1.0, 9.0)];
-    assert_eq!(surfaces.transmittance(&scene, below, above, None), 0.0);
-    assert_eq!(surfaces.transmittance(&scene, below, above, Some(0)), 1.0);
+    assert_eq!(surfaces.transmittance(&scene, below, above, None), Vec3::ZERO);
+    assert_eq!(surfaces.transmittance(&scene, below, above, Some(0)), Vec3::ONE);
     // Up to the surface and away from it, exactly: not hidden by it.
     let on = Vec3::new(1.0, 1.0, 5.0);
     for other in [below, above] {
-        assert_eq!(surfaces.transmittance(&scene, other, on, None), 1.0);
+        assert_eq!(surfaces.transmittance(&scene, other, on, None), Vec3::ONE);
     }
     // Along its plane it has no extent.
     assert_eq!(surfaces.closest(&scene, Vec3::new(-1.0, 1.0, 5.0), Vec3::X, 0.0, f32::INFINITY), None);

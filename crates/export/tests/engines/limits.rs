@@ -5,7 +5,7 @@ use serde_json::Value;
 use std::f64::consts::PI;
 
 use crate::readers::read;
-use crate::volumes::{ENGINES, constant, exported, file, flat_grid, grid, points};
+use crate::volumes::{ENGINES, constant, exported, file, flat_grid, grid, points, vertices};
 
 fn refused(volume: &gdibl_runtime::Volume, engine: Engine, name: &str, counts: Option<[u32; 3]>) -> Error {
     let settings = Settings { name: name.into(), counts };
@@ -30,6 +30,18 @@ fn points_go_into_json_and_nowhere_else() {
     assert!((l - 3.0).abs() < 1e-5, "{l}");
     assert_eq!(exported.report.error.relative_rmse, 0.0);
     assert!(matches!(refused(&volume, Engine::Json, "a.b", Some([2, 2, 2])), Error::Settings(_)));
+    assert_eq!(json.get("vertex_sets"), None);
+}
+
+#[test]
+fn vertices_go_into_json_with_their_sets() {
+    let positions = [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [2.0, 0.5, 3.0]];
+    let volume = vertices(&positions, &[[0.0, 1.0, 0.0]; 3], &[[7, 2, 0, 0, 2], [7, 2, 1, 2, 1]]);
+    let exported = exported(&volume, Engine::Json);
+    let json: Value = serde_json::from_slice(file(&exported, "room.main")).unwrap();
+    let set = |primitive: u32, first: u32, count: u32| serde_json::json!({ "node": 7, "mesh": 2, "primitive": primitive, "first": first, "count": count });
+    assert_eq!(json["kind"], "vertices");
+    assert_eq!(json["vertex_sets"], serde_json::json!([set(0, 0, 2), set(1, 2, 1)]));
 }
 
 #[test]

@@ -2,8 +2,8 @@
 
 use gdibl_export::{Engine, Export, Settings, export};
 use gdibl_runtime::format::{
-    Codec, Encoding, Filter, Kind, POSITIONS, RADIANCE, SectionEntry, Units, VALIDITY, crc32, directory_to_bytes,
-    place_sections,
+    Codec, Encoding, Filter, Kind, MESHES, NORMALS, POSITIONS, RADIANCE, SectionEntry, Units, VALIDITY, crc32,
+    directory_to_bytes, place_sections,
 };
 use gdibl_runtime::sh::{MAX_COEFFICIENTS, Y00, basis, coefficient_count};
 use gdibl_runtime::{Header, RadianceSh, Volume};
@@ -45,6 +45,16 @@ pub fn points(positions: &[[f32; 3]]) -> Volume {
     let bytes = positions.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
     let header = header(Kind::Points, [positions.len() as u32, 1, 1], 2, MAX);
     parse(header, &[(RADIANCE, planes(2, &nodes)), (POSITIONS, bytes)])
+}
+
+/// Vertices with their normals, `sets` of glTF node, mesh, primitive, first and count.
+pub fn vertices(positions: &[[f32; 3]], normals: &[[f32; 3]], sets: &[[u32; 5]]) -> Volume {
+    let nodes: Vec<RadianceSh> = (0..positions.len()).map(|i| constant([1.0 + i as f32, 2.0, 3.0])).collect();
+    let bytes = |vectors: &[[f32; 3]]| vectors.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+    let sets = sets.as_flattened().iter().flat_map(|word| word.to_le_bytes()).collect();
+    let header = header(Kind::Vertices, [positions.len() as u32, 1, 1], 2, MAX);
+    let places = [(POSITIONS, bytes(positions)), (NORMALS, bytes(normals)), (MESHES, sets)];
+    parse(header, &[vec![(RADIANCE, planes(2, &nodes))], places.to_vec()].concat())
 }
 
 fn header(kind: Kind, counts: [u32; 3], bands: u32, max: [f64; 3]) -> Header {

@@ -3,8 +3,8 @@
 #![allow(dead_code, reason = "each test file uses its part")]
 
 use gdibl_runtime::format::{
-    Codec, Encoding, Filter, NORMALS, POSITIONS, RADIANCE, SectionEntry, Units, VALIDITY, crc32, directory_to_bytes,
-    place_sections,
+    Codec, Encoding, Filter, MESHES, NORMALS, POSITIONS, RADIANCE, SectionEntry, Units, VALIDITY, crc32,
+    directory_to_bytes, place_sections,
 };
 use gdibl_runtime::{Header, Kind, packed};
 use std::io::Write;
@@ -82,6 +82,8 @@ impl Form {
         if self.kind == Kind::Vertices {
             let normals = (0..60).flat_map(|_| random.direction().map(f32::to_le_bytes));
             contents.push((NORMALS, normals.collect::<Vec<_>>().concat()));
+            let sets: [[u32; 5]; 2] = [[3, 1, 0, 0, 40], [3, 1, 1, 40, 20]];
+            contents.push((MESHES, sets.as_flattened().iter().flat_map(|word| word.to_le_bytes()).collect()));
         }
         file(&header, &contents)
     }

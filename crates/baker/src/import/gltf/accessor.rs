@@ -68,6 +68,13 @@ impl<'b> Elements<'b> {
         Ok(Elements { count, kind, component, normalized: accessor.normalized, stride, bytes, sparse })
     }
 
+    /// Reads integers as normalised ones, whatever the accessor says; returns whether that changes what is read.
+    pub fn normalize(&mut self) -> bool {
+        let changes = !self.normalized && self.component != ComponentType::F32;
+        self.normalized |= changes;
+        changes
+    }
+
     /// Whether a buffer view lies behind it, so that its count is bounded by bytes.
     pub fn has_data(&self) -> bool {
         self.bytes.is_some()

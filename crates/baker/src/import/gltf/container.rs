@@ -25,8 +25,7 @@ pub(super) fn split<'a>(bytes: &'a [u8], path: &Path, findings: &mut Findings) -
     if bytes.starts_with(b"glTF") {
         return split_glb(bytes, path, findings);
     }
-    // The specification forbids a byte order mark but lets readers ignore one.
-    let json = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    let json = text_of(bytes);
     match json.iter().find(|b| !b.is_ascii_whitespace()) {
         Some(b'{') => Ok(Container { json, binary: None }),
         None => Err(Error::invalid(path, "the file is empty; expected a glTF or GLB level")),
@@ -38,6 +37,14 @@ pub(super) fn split<'a>(bytes: &'a [u8], path: &Path, findings: &mut Findings) -
             ))
         }
     }
+}
+
+/// JSON without a byte order mark, which the specification forbids but lets readers ignore, and without the zeros that some
+/// writers pad with in place of spaces.
+fn text_of(bytes: &[u8]) -> &[u8] {
+    let text = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    let end = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    &text[..end]
 }
 
 fn split_glb<'a>(bytes: &'a [u8], path: &Path, findings: &mut Findings) -> Result<Container<'a>> {
@@ -93,7 +100,7 @@ fn split_glb<'a>(bytes: &'a [u8], path: &Path, findings: &mut Findings) -> Resul
         }
         let data = &bytes[start..start + size];
         match (chunk, kind) {
-            (0, CHUNK_JSON) => container.json = data,
+            (0, CHUNK_JSON) => container.json = text_of(data),
             (0, _) => {
                 return Err(invalid(format!(
                     "{place}: its type is \"{}\"; the first chunk must be \"JSON\"",

@@ -6,7 +6,7 @@
 //! - demand `nodes` of a scene, which the specification does not,
 //! - fail on `extras` inside an extension (which Blender writes for lights),
 //!
-//! and its animations, cameras and skins, of which nothing is needed, fail on newer extensions. The crate's
+//! and its animations and cameras, of which nothing is needed, fail on newer extensions. The crate's
 //! validation is not used: it indexes with unchecked numbers, and of 113 test levels it refused five that are fine
 //! (required extensions that are read here, a texture without its image that nothing uses). Each element is read
 //! by itself, so that an error can say which one is wrong.
@@ -20,6 +20,8 @@ use serde_json::{Map, Value};
 
 use super::container::Container;
 use super::findings::Findings;
+use super::properties;
+use super::text;
 use crate::{Error, Result};
 
 /// Extensions that a file may *require*: those that are read, and those whose absence does not change where
@@ -30,14 +32,17 @@ const KNOWN_EXTENSIONS: &[&str] = &[
     "EXT_meshopt_compression",
     "EXT_texture_webp",
     "KHR_lights_punctual",
+    "KHR_materials_diffuse_transmission",
     "KHR_materials_emissive_strength",
     "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_transmission",
     "KHR_materials_unlit",
+    "KHR_materials_volume",
     "KHR_mesh_quantization",
     "KHR_meshopt_compression",
     "KHR_node_visibility",
     "KHR_texture_transform",
+    "MSFT_lod",
     // Refused where a triangle needs them, with the tool that converts.
     "EXT_texture_avif",
     "KHR_draco_mesh_compression",
@@ -47,17 +52,14 @@ const KNOWN_EXTENSIONS: &[&str] = &[
     "KHR_animation_pointer",
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
-    "KHR_materials_diffuse_transmission",
     "KHR_materials_dispersion",
     "KHR_materials_ior",
     "KHR_materials_iridescence",
     "KHR_materials_sheen",
     "KHR_materials_specular",
     "KHR_materials_variants",
-    "KHR_materials_volume",
     "KHR_xmp",
     "KHR_xmp_json_ld",
-    "MSFT_lod",
 ];
 
 /// A level's JSON, element by element. Every index in it is still unchecked: use [`Document::get`].
@@ -75,6 +77,10 @@ pub(super) struct Document<'a> {
     pub samplers: Vec<json::texture::Sampler>,
     pub textures: Vec<json::Texture>,
     pub nodes: Vec<Node>,
+    pub skins: Vec<Skin>,
+    /// `gdibl_role` of the extras of meshes and materials, by their numbers.
+    pub mesh_roles: Vec<Option<Value>>,
+    pub material_roles: Vec<Option<Value>>,
     pub scenes: Vec<SceneRoots>,
     pub default_scene: Option<u32>,
     pub lights: Vec<Light>,
@@ -97,6 +103,14 @@ pub(super) struct Node {
     pub weights: Option<Vec<f32>>,
     pub extras: Value,
     pub extensions: Map<String, Value>,
+}
+
+/// A skin: where its joints are, and where they were when the mesh was made.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+pub(super) struct Skin {
+    pub inverse_bind_matrices: Option<u32>,
+    pub joints: Vec<u32>,
 }
 
 /// The roots of a scene.
@@ -147,8 +161,9 @@ impl<'a> Document<'a> {
     /// Reads the JSON, checks version and required extensions.
     pub fn read(container: &Container<'a>, path: &'a Path, findings: &mut Findings) -> Result<Self> {
         let invalid = |message: String| Error::invalid(path, message);
-        let json: Value =
-            serde_json::from_slice(container.json).map_err(|e| invalid(format!("JSON: {e}; the file is damaged")))?;
+        let mut json: Value =
+            text::parse(container.json, findings).map_err(|e| invalid(format!("JSON: {e}; the file is damaged")))?;
+        text::simplify(&mut json);
         let Value::Object(mut root) = json else {
             return Err(invalid("JSON: the outermost value is not an object".into()));
         };
@@ -171,6 +186,8 @@ impl<'a> Document<'a> {
             format!("Extensions that gdibl does not know were ignored: {}", ignored.join(", "))
         });
 
+        properties::check(&root, findings);
+
         // Extensions of the root: only the lights matter.
         let lights = match root.get_mut("extensions").and_then(|e| e.get_mut("KHR_lights_punctual")) {
             Some(Value::Object(extension)) => take(extension, "lights", path)?,
@@ -180,7 +197,10 @@ impl<'a> Document<'a> {
             None | Some(Value::Null) => None,
             Some(value) => Some(u32::deserialize(value).map_err(|e| invalid(format!("scene: {e}")))?),
         };
+        let mesh_roles = properties::roles(&root, "meshes");
+        let material_roles = properties::roles(&root, "materials");
         let nodes = take(&mut root, "nodes", path)?;
+        let skins = take(&mut root, "skins", path)?;
         let scenes = take(&mut root, "scenes", path)?;
 
         // What is left goes to the crate's model, which fails on extras inside extensions, and cuts numbers to 32 bits.
@@ -202,6 +222,9 @@ impl<'a> Document<'a> {
             samplers: take(&mut root, "samplers", path)?,
             textures: take(&mut root, "textures", path)?,
             nodes,
+            skins,
+            mesh_roles,
+            material_roles,
             scenes,
             default_scene,
             lights,

@@ -8,6 +8,7 @@ use super::accessor::Elements;
 use super::buffers::Buffers;
 use super::document::{Document, Node};
 use super::findings::Findings;
+use super::properties::{self, Said};
 use crate::Result;
 use crate::scene::Role;
 
@@ -20,6 +21,28 @@ pub(super) struct PlacedNode {
     pub transform: DAffine3,
     /// `extras.gdibl_role`, its own or inherited; none: "ignore".
     pub role: Option<Role>,
+    /// The role is its own.
+    pub says_role: bool,
+}
+
+impl PlacedNode {
+    /// The role of the triangles of one material of a mesh on the node; none: "ignore". What a material says counts before
+    /// what the node says, that before what the mesh says, that before what the node inherits. An ignored node stays so.
+    pub fn role_of(&self, document: &Document, mesh: usize, material: Option<usize>) -> Result<Option<Role>> {
+        let Some(role) = self.role else { return Ok(None) };
+        let said = |roles: &[Option<Value>], index: usize, what: &str| {
+            let value = roles.get(index).and_then(Option::as_ref);
+            properties::role(document, value, || format!("{what} {index}"))
+        };
+        let of_material =
+            material.map(|index| said(&document.material_roles, index, "material")).transpose()?.flatten();
+        let of_mesh = said(&document.mesh_roles, mesh, "mesh")?.filter(|_| !self.says_role);
+        Ok(match of_material.or(of_mesh) {
+            None => Some(role),
+            Some(Said::Role(role)) => Some(role),
+            Some(Said::Ignore) => None,
+        })
+    }
 }
 
 /// The nodes of `scene` (else the file's default scene, else scene 0; a file without scenes: all roots), parents
@@ -33,7 +56,8 @@ pub(super) fn place_nodes(
     let mut placed = Vec::new();
     // Who led to a node, to tell a second visit: the trees of a scene are disjoint.
     let mut reached_from: Vec<Option<String>> = vec![None; document.nodes.len()];
-    let mut hidden = 0;
+    let (mut hidden, mut lower_detail) = (0, 0);
+    let is_lower_detail = lower_details(document);
 
     // An explicit stack: a chain of a million nodes is a legal file.
     struct Visit {
@@ -58,6 +82,10 @@ pub(super) fn place_nodes(
             )));
         }
         reached_from[index] = Some(from);
+        if is_lower_detail[index] {
+            lower_detail += 1;
+            continue;
+        }
 
         let transform = above * local_transform(document, node, &label)?;
         if !transform.is_finite() {
@@ -68,20 +96,13 @@ pub(super) fn place_nodes(
             hidden += 1;
             continue;
         }
-        let role = match node.extras.get("gdibl_role") {
+        let own = properties::role(document, node.extras.get(properties::ROLE), || label.clone())?;
+        let role = match own {
             None => inherited,
-            Some(value) => match value.as_str() {
-                Some("environment") => Some(Role::Environment),
-                Some("scene") => Some(Role::Scene),
-                Some("ignore") => None,
-                _ => {
-                    return Err(document.invalid(format!(
-                        "{label}: extras.gdibl_role is {value}; expected \"environment\", \"scene\" or \"ignore\""
-                    )));
-                }
-            },
+            Some(Said::Role(role)) => Some(role),
+            Some(Said::Ignore) => None,
         };
-        placed.push(PlacedNode { node: index, transform, role });
+        placed.push(PlacedNode { node: index, transform, role, says_role: own.is_some() });
         stack.extend(node.children.iter().rev().map(|&child| Visit {
             node: child as usize,
             parent: Some(index),
@@ -89,6 +110,9 @@ pub(super) fn place_nodes(
             role,
         }));
     }
+    findings.add("lower-levels-of-detail", lower_detail, || {
+        "Nodes that MSFT_lod names as lower levels of detail were left out with their children".into()
+    });
     findings.add("hidden-nodes", hidden, || {
         "Nodes that KHR_node_visibility hides were left out with their children".into()
     });
@@ -116,6 +140,92 @@ fn roots(document: &Document, asked: Option<usize>) -> Result<Vec<usize>> {
     };
     let scene = document.get(&document.scenes, index, "scene", &place)?;
     Ok(scene.nodes.iter().map(|&node| node as usize).collect())
+}
+
+/// Which nodes MSFT_lod names as lower levels of detail of another, which stands in the level itself.
+fn lower_details(document: &Document) -> Vec<bool> {
+    let mut is_lower = vec![false; document.nodes.len()];
+    for (index, node) in document.nodes.iter().enumerate() {
+        let ids = node.extensions.get("MSFT_lod").and_then(|lod| lod.get("ids")).and_then(Value::as_array);
+        if is_lower[index] {
+            continue;
+        }
+        for id in ids.into_iter().flatten().filter_map(Value::as_u64) {
+            if let Some(flag) = is_lower.get_mut(id as usize).filter(|_| id as usize != index) {
+                *flag = true;
+            }
+        }
+    }
+    is_lower
+}
+
+/// Where nodes stand in the world, whether the scene holds them or not: joints.
+pub(super) struct Joints {
+    parents: Vec<Option<u32>>,
+}
+
+impl Joints {
+    /// Of all nodes.
+    pub fn new(document: &Document) -> Joints {
+        let mut parents = vec![None; document.nodes.len()];
+        for (index, node) in document.nodes.iter().enumerate() {
+            for child in &node.children {
+                if let Some(parent) = parents.get_mut(*child as usize) {
+                    *parent = Some(index as u32);
+                }
+            }
+        }
+        Joints { parents }
+    }
+
+    /// Joint to world, times the inverse bind matrix, for each joint of a skin: mesh to world.
+    pub fn transforms(&self, buffers: &Buffers, skin_index: usize, place: &str) -> Result<Vec<DAffine3>> {
+        let document = buffers.document;
+        let skin = document.get(&document.skins, skin_index, "skin", &place)?;
+        let place = format!("{place}: skin {skin_index}");
+        let inverse = match skin.inverse_bind_matrices {
+            None => None,
+            Some(accessor) => {
+                let place = format!("{place}: inverseBindMatrices");
+                let elements = Elements::open(buffers, accessor as usize, &[Type::Mat4], &place)?;
+                if elements.count < skin.joints.len() {
+                    return Err(document.invalid(format!(
+                        "{place}: {} matrices for {} joints; expected one each",
+                        elements.count,
+                        skin.joints.len()
+                    )));
+                }
+                Some(elements)
+            }
+        };
+        let transform = |(number, &joint): (usize, &u32)| {
+            let world = self.world(document, joint as usize, &place)?;
+            let bind = inverse.as_ref().map_or(DAffine3::IDENTITY, |elements| {
+                let columns = elements.vector::<16>(number).map(f64::from);
+                DAffine3::from_mat4(DMat4::from_cols_array(&columns))
+            });
+            let transform = world * bind;
+            if !transform.is_finite() {
+                return Err(
+                    document.invalid(format!("{place}: joint {number} (node {joint}): its place is not finite"))
+                );
+            }
+            Ok(transform)
+        };
+        skin.joints.iter().enumerate().map(transform).collect()
+    }
+
+    fn world(&self, document: &Document, node: usize, place: &str) -> Result<DAffine3> {
+        let mut transform = DAffine3::IDENTITY;
+        let mut next = Some(node);
+        for _ in 0..=document.nodes.len() {
+            let Some(index) = next else { return Ok(transform) };
+            let node = document.get(&document.nodes, index, "node", &place)?;
+            transform = local_transform(document, node, &document.node_label(index))? * transform;
+            next = self.parents[index].map(|parent| parent as usize);
+        }
+        Err(document.invalid(format!("{place}: node {node} is its own ancestor; nodes must form trees without cycles")))
+    }
 }
 
 /// Node to parent.

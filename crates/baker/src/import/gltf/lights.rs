@@ -1,15 +1,21 @@
 //! KHR_lights_punctual, placed in the world.
 
 use glam::{DVec3, Vec3};
+use std::f64::consts::PI;
 
 use super::document::{Document, Light};
 use super::findings::Findings;
 use super::hierarchy::PlacedNode;
 use crate::Result;
-use crate::scene::{PunctualKind, PunctualLight};
+use crate::scene::{Mesh, PunctualKind, PunctualLight, Scene};
 
-/// The lights of `nodes`, in their order. Nodes that are ignored bring none.
-pub(super) fn read(document: &Document, nodes: &[PlacedNode], findings: &mut Findings) -> Result<Vec<PunctualLight>> {
+/// The lights of `nodes`, in their order, their intensities divided by `lumens_per_watt`. Nodes that are ignored bring none.
+pub(super) fn read(
+    document: &Document,
+    nodes: &[PlacedNode],
+    lumens_per_watt: Option<f32>,
+    findings: &mut Findings,
+) -> Result<Vec<PunctualLight>> {
     let mut lights = Vec::new();
     for placed in nodes.iter().filter(|placed| placed.role.is_some()) {
         let Some(extension) = document.nodes[placed.node].extensions.get("KHR_lights_punctual") else { continue };
@@ -21,7 +27,47 @@ pub(super) fn read(document: &Document, nodes: &[PlacedNode], findings: &mut Fin
         let light = document.get(&document.lights, index, "light", &label)?;
         lights.extend(place(document, light, index, placed, findings)?);
     }
+    if let Some(lumens) = lumens_per_watt {
+        lights.iter_mut().for_each(|light| light.intensity /= lumens);
+    }
     Ok(lights)
+}
+
+/// Lumens per watt of green light, by which exporters turn watts into the lumens of glTF's lights.
+const LUMENS_PER_WATT: f64 = 683.0;
+/// A level counts as one where that was done, and emissive surfaces were left in watts, within this factor.
+const WITHIN: f64 = 16.0;
+
+/// Says where lamps give about [`LUMENS_PER_WATT`] times what emissive surfaces give.
+pub(super) fn compare_with_emitters(scene: &Scene, findings: &mut Findings) {
+    let mean = |color: Vec3| f64::from(color.element_sum()) / 3.0;
+    // Flux, in the units of radiance × m² × sr. A directional light has none of its own.
+    let flux = |light: &PunctualLight| match light.kind {
+        PunctualKind::Point => Some(mean(light.intensity) * 4.0 * PI),
+        PunctualKind::Spot { outer_cone_radians, .. } => {
+            Some(mean(light.intensity) * 2.0 * PI * (1.0 - f64::from(outer_cone_radians).cos()))
+        }
+        PunctualKind::Directional => None,
+    };
+    let lamps: Vec<f64> = scene.lights.iter().filter_map(flux).collect();
+    let emitted = |mesh: &Mesh| {
+        let material = &scene.materials[mesh.material as usize];
+        match material.unlit || material.emission == Vec3::ZERO {
+            true => 0.0,
+            false => mesh.triangles.iter().map(|ids| mesh.area(*ids)).sum::<f64>() * PI * mean(material.emission),
+        }
+    };
+    let emitters: f64 = scene.meshes.iter().map(emitted).sum();
+    let ratio = lamps.iter().sum::<f64>() / emitters;
+    if emitters > 0.0 && (LUMENS_PER_WATT / WITHIN..=LUMENS_PER_WATT * WITHIN).contains(&ratio) {
+        findings.add("lamps-outshine-emitters", lamps.len() as u64, || {
+            format!(
+                "The level's point and spot lights give {ratio:.0} times what its emissive surfaces give. Blender's export \
+                 multiplies lights by 683 lm/W and leaves emissive surfaces as they are: if this level comes from there, bake it \
+                 with --lumens-per-watt 683, or export it with Lighting Mode Unitless"
+            )
+        });
+    }
 }
 
 fn place(

@@ -13,6 +13,8 @@
 //! buffers     bytes of buffer views              material    factors, what is needed of textures
 //! meshopt     compressed buffer views            texture     decoded pixels
 //! hierarchy   nodes, roles, instances            lights, markers
+//! text        JSON as others write it            properties  custom properties: which are understood
+//! skin        vertices by joints
 //! ```
 //!
 //! Based on: Khronos Group, *glTF 2.0 Specification*, 2021, and its extensions' texts.
@@ -29,6 +31,9 @@ mod material;
 mod meshopt;
 mod place;
 mod primitive;
+mod properties;
+mod skin;
+mod text;
 mod texture;
 mod uri;
 
@@ -36,16 +41,17 @@ use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
 
-use crate::scene::{Mesh, Role, Scene};
+use crate::scene::{Mesh, Metals, Role, Scene};
 use crate::{Error, Result};
 use buffers::Buffers;
 use document::Document;
 use findings::Findings;
-use hierarchy::PlacedNode;
+use hierarchy::{Joints, PlacedNode};
 use material::{Draft, Textures, UsedBy};
+use primitive::Pose;
 
 /// How to read a level.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct GltfOptions {
     /// Which scene of the file; none: its default scene, else scene 0, else all root nodes.
     pub scene: Option<usize>,
@@ -53,25 +59,40 @@ pub struct GltfOptions {
     pub max_triangles: u64,
     /// Which textures are decoded.
     pub textures: TextureNeeds,
+    /// What metals reflect.
+    pub metals: Metals,
+    /// Intensities of KHR_lights_punctual are divided by this, which an exporter multiplied watts by (Blender: 683); over 0.
+    pub lumens_per_watt: Option<f32>,
+    /// A needed texture that is missing, damaged or in a format that is not read is mid-grey and a finding, instead of an
+    /// error.
+    pub allow_missing_textures: bool,
 }
 
 impl Default for GltfOptions {
-    /// The file's default scene, 100 million triangles, the textures that a GDIBL bake needs.
+    /// The file's default scene, 100 million triangles, the textures that a GDIBL bake needs, metals that reflect.
     fn default() -> Self {
-        GltfOptions { scene: None, max_triangles: 100_000_000, textures: TextureNeeds::Gdibl }
+        GltfOptions {
+            scene: None,
+            max_triangles: 100_000_000,
+            textures: TextureNeeds::Gdibl,
+            metals: Metals::Diffuse,
+            lumens_per_watt: None,
+            allow_missing_textures: false,
+        }
     }
 }
 
 /// Which textures a method needs. Others are not decoded, and may be missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum TextureNeeds {
-    /// Alpha of masked and blended materials; base colour and emission of materials on [`Role::Scene`] geometry. The
+    /// Alpha of masked and blended materials, and what tints light that goes through; all of materials on
+    /// [`Role::Scene`] geometry that changes light. The
     /// environment's colours are in the probes' pixels. Of a level with scene geometry, which throws shadows on the
-    /// environment, its base colours too.
+    /// environment, what the environment reflects too.
     Gdibl,
     /// As for GDIBL, and the environment's emission: GDIBL by probes that were captured from the level itself.
     Captured,
-    /// Base colour and emission of every used material: path tracing.
+    /// All that changes light, of every used material: path tracing.
     All,
 }
 
@@ -108,11 +129,11 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
     let buffers = Buffers::new(&document);
 
     let nodes = hierarchy::place_nodes(&document, options.scene, &mut findings)?;
-    let lights = lights::read(&document, &nodes, &mut findings)?;
+    let lights = lights::read(&document, &nodes, options.lumens_per_watt, &mut findings)?;
     let (probe_markers, volume_markers) = markers::read(&document, &nodes)?;
 
-    let drafts = material::read(&document, &mut findings)?;
-    let objects = nodes.iter().any(|node| node.role == Some(Role::Scene) && document.nodes[node.node].mesh.is_some());
+    let drafts = material::read(&document, options.metals, &mut findings)?;
+    let objects = has_objects(&document, &nodes)?;
     let textures = Textures {
         all: options.textures == TextureNeeds::All,
         emission: options.textures == TextureNeeds::Captured,
@@ -129,17 +150,39 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
             Role::Scene => used.scene = true,
         }
     }
-    let (materials, textures) = material::finish(&buffers, drafts, &used, textures)?;
+    let allow = options.allow_missing_textures;
+    let (materials, textures, maps) = material::finish(&buffers, drafts, &used, textures, allow, &mut findings)?;
     for mesh in &mut meshes {
         let material = &materials[mesh.material as usize];
         for (set, uvs) in mesh.uvs.iter_mut().enumerate() {
-            let uses = [material.base_color_texture, material.emission_texture];
-            if !uses.iter().flatten().any(|texture| texture.uv_set as usize == set) {
+            let mut uses = material.textures().into_iter().chain(material.maps()).flatten();
+            if !uses.any(|texture| texture.uv_set as usize == set) {
                 *uvs = Vec::new();
             }
         }
     }
-    Ok(Scene { meshes, materials, textures, lights, probe_markers, volume_markers, findings: findings.into_vec() })
+    let mut scene =
+        Scene { meshes, materials, textures, maps, lights, probe_markers, volume_markers, findings: Vec::new() };
+    if options.lumens_per_watt.is_none() {
+        lights::compare_with_emitters(&scene, &mut findings);
+    }
+    scene.findings = findings.into_vec();
+    Ok(scene)
+}
+
+/// Some mesh is scene geometry.
+fn has_objects(document: &Document, nodes: &[PlacedNode]) -> Result<bool> {
+    for placed in nodes {
+        let Some(index) = document.nodes[placed.node].mesh else { continue };
+        let Some(mesh) = document.meshes.get(index as usize) else { continue };
+        for primitive in &mesh.primitives {
+            let material = primitive.material.map(|material| material.value());
+            if placed.role_of(document, index as usize, material)? == Some(Role::Scene) {
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
 }
 
 /// The meshes of all nodes that are not ignored.
@@ -153,10 +196,9 @@ fn read_meshes(
 ) -> Result<Vec<Mesh>> {
     let mut meshes = Vec::new();
     let mut triangles = 0_u64;
-    for placed in nodes {
-        if let Some(role) = placed.role {
-            read_node(buffers, placed, role, drafts, options, textures, &mut triangles, &mut meshes, findings)?;
-        }
+    let mut joints = None;
+    for placed in nodes.iter().filter(|placed| placed.role.is_some()) {
+        read_node(buffers, placed, drafts, options, textures, &mut joints, &mut triangles, &mut meshes, findings)?;
     }
     Ok(meshes)
 }
@@ -166,10 +208,10 @@ fn read_meshes(
 fn read_node(
     buffers: &Buffers,
     placed: &PlacedNode,
-    role: Role,
     drafts: &[Draft],
     options: &GltfOptions,
     textures: Textures,
+    joints: &mut Option<Joints>,
     triangles: &mut u64,
     meshes: &mut Vec<Mesh>,
     findings: &mut Findings,
@@ -181,15 +223,28 @@ fn read_node(
     let mesh = document.get(&document.meshes, mesh_index as usize, "mesh", &label)?;
 
     // Skins and morph targets: a bake sees one pose.
-    findings.add("skinned-meshes", u64::from(node.skin.is_some()), || {
-        format!("Skinned meshes stand as they were modelled, without their skeleton's pose, first {label}")
+    let skin = match node.skin {
+        None => None,
+        Some(skin) => {
+            let joints = joints.get_or_insert_with(|| Joints::new(document));
+            Some(joints.transforms(buffers, skin as usize, &label)?)
+        }
+    };
+    findings.add("skinned-meshes", u64::from(skin.is_some()), || {
+        format!("Skinned meshes stand in the one pose that the file's nodes give their joints, first {label}")
     });
     let weights: &[f32] = node.weights.as_ref().or(mesh.weights.as_ref()).map_or(&[], |weights| weights);
     findings.add("morphed-meshes", u64::from(weights.iter().any(|&weight| weight != 0.0)), || {
         format!("Meshes with morph targets stand as their default weights say, first {label}")
     });
 
-    let instances = hierarchy::Instances::open(buffers, placed.node)?;
+    let pose = Pose { weights, joints: skin.as_deref() };
+
+    // Joints place a skinned mesh, once.
+    let instances = match &skin {
+        None => hierarchy::Instances::open(buffers, placed.node)?,
+        Some(_) => None,
+    };
     let copies = instances.as_ref().map_or(1, |instances| instances.count) as u64;
     let mut transforms: Option<Vec<DAffine3>> = None;
     for (primitive_index, primitive) in mesh.primitives.iter().enumerate() {
@@ -206,6 +261,9 @@ fn read_node(
             )));
         }
 
+        let said = primitive.material.map(|material| material.value());
+        let Some(role) = placed.role_of(document, mesh_index as usize, said)? else { continue };
+
         // The default material is number 0.
         let material = match primitive.material {
             None => 0,
@@ -215,7 +273,7 @@ fn read_node(
             }
         };
         let wanted = drafts[material].wanted(role, textures);
-        let Some(local) = primitive::read(buffers, primitive, &place, weights, wanted, findings)? else { continue };
+        let Some(local) = primitive::read(buffers, primitive, &place, &pose, wanted, findings)? else { continue };
         let transforms = match &mut transforms {
             Some(transforms) => transforms,
             none => none.insert(match &instances {
@@ -225,13 +283,15 @@ fn read_node(
                 }
             }),
         };
-        for transform in transforms.iter() {
+        for (instance, transform) in transforms.iter().enumerate() {
             let frame = Mesh {
                 node: placed.node as u32,
                 mesh: mesh_index,
                 primitive: primitive_index as u32,
                 role,
                 material: material as u32,
+                file_accessors: primitive::accessors(primitive),
+                instance: instance as u32,
                 ..Mesh::default()
             };
             let (mesh, losses) = place::place(&local, transform, frame);

@@ -14,22 +14,30 @@ pub(super) struct Losses {
     pub bad_normals: u64,
 }
 
-/// Places `local` by `transform`; `frame` carries what does not depend on the place (node, role, material ...).
+/// Places `local` by `transform`, or each vertex by its own, where it is skinned; `frame` carries what does not depend on
+/// the place (node, role, material ...).
 pub(super) fn place(local: &LocalPrimitive, transform: &DAffine3, frame: Mesh) -> (Mesh, Losses) {
     let mut losses = Losses { non_finite: local.non_finite, zero_area: local.zero_area, bad_normals: 0 };
+    let own = |vertex: usize| local.transforms.get(vertex).unwrap_or(transform);
+    let positions = local.positions.iter().enumerate();
     let mut mesh = Mesh {
-        positions: local.positions.iter().map(|p| transform.transform_point3(p.as_dvec3())).collect(),
+        positions: positions.map(|(vertex, p)| own(vertex).transform_point3(p.as_dvec3())).collect(),
         uvs: local.uvs.clone(),
         colors: local.colors.clone(),
         triangles: local.triangles.clone(),
         smooth: !local.normals.is_empty(),
+        file_count: local.file_count,
         ..frame
     };
 
-    // A mirrored node turns its triangles inside out; turn them round.
+    // A mirrored node turns its triangles inside out; turn them round. Joints may mirror some.
     let linear = transform.matrix3;
     let is_mirrored = linear.determinant() < 0.0;
-    if is_mirrored {
+    if !local.transforms.is_empty() {
+        let side = |vertex: u32| own(vertex as usize).matrix3.determinant().signum();
+        let is_mirrored = |triangle: &[u32; 3]| triangle.map(side).into_iter().sum::<f64>() < 0.0;
+        mesh.triangles.iter_mut().filter(|triangle| is_mirrored(triangle)).for_each(|triangle| triangle.swap(1, 2));
+    } else if is_mirrored {
         mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
     }
 
@@ -42,17 +50,11 @@ pub(super) fn place(local: &LocalPrimitive, transform: &DAffine3, frame: Mesh) -
         shape == Shape::Good
     });
 
-    // Normals go by the inverse transpose; cofactors are the same up to length and the determinant's sign, and exist for
-    // flat transforms too. Scaled to about 1 first, so that they cannot underflow.
-    let largest = linear.to_cols_array().iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-    let scaled = if largest > 0.0 { linear * (1.0 / largest) } else { linear };
-    let sign = if is_mirrored { -1.0 } else { 1.0 };
-    let normal_matrix = DMat3::from_cols(
-        scaled.y_axis.cross(scaled.z_axis),
-        scaled.z_axis.cross(scaled.x_axis),
-        scaled.x_axis.cross(scaled.y_axis),
-    ) * sign;
-    let from_file = local.normals.iter().map(|n| (normal_matrix * n.as_dvec3()).try_normalize().map(|n| n.as_vec3()));
+    let normal_matrix = normal_matrix(&linear);
+    let from_file = local.normals.iter().enumerate().map(|(vertex, n)| {
+        let matrix = local.transforms.get(vertex).map_or(normal_matrix, |own| self::normal_matrix(&own.matrix3));
+        (matrix * n.as_dvec3()).try_normalize().map(|n| n.as_vec3())
+    });
     let from_file: Vec<Option<Vec3>> = from_file.collect();
     losses.bad_normals = from_file.iter().filter(|n| n.is_none()).count() as u64;
     mesh.normals = if losses.bad_normals == 0 && !from_file.is_empty() {
@@ -65,8 +67,21 @@ pub(super) fn place(local: &LocalPrimitive, transform: &DAffine3, frame: Mesh) -
         normals
     };
 
-    drop_unused_vertices(&mut mesh);
+    drop_unused_vertices(&mut mesh, &local.file_numbers);
     (mesh, losses)
+}
+
+/// Normals go by the inverse transpose; cofactors are the same up to length and the determinant's sign, and exist for flat
+/// transforms too. Scaled to about 1 first, so that they cannot underflow.
+fn normal_matrix(linear: &DMat3) -> DMat3 {
+    let largest = linear.to_cols_array().iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+    let scaled = if largest > 0.0 { *linear * (1.0 / largest) } else { *linear };
+    let sign = if linear.determinant() < 0.0 { -1.0 } else { 1.0 };
+    DMat3::from_cols(
+        scaled.y_axis.cross(scaled.z_axis),
+        scaled.z_axis.cross(scaled.x_axis),
+        scaled.x_axis.cross(scaled.y_axis),
+    ) * sign
 }
 
 /// The normal of each vertex: the sum of its triangles' normals by area; where they cancel, that of one of them.
@@ -91,8 +106,9 @@ fn area_weighted_normals(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Vec
     normals.into_iter().map(|normal| normal.unwrap_or(Vec3::Y)).collect()
 }
 
-/// Vertices that only dropped triangles used may be non-finite: nobody should meet them.
-fn drop_unused_vertices(mesh: &mut Mesh) {
+/// Vertices that only dropped triangles used may be non-finite: nobody should meet them. Where the file has more than are
+/// left, the mesh keeps their numbers.
+fn drop_unused_vertices(mesh: &mut Mesh, file_numbers: &[u32]) {
     let (used, triangles) = compact(std::mem::take(&mut mesh.triangles), mesh.positions.len());
     mesh.triangles = triangles;
     if used.len() < mesh.positions.len() {
@@ -103,9 +119,11 @@ fn drop_unused_vertices(mesh: &mut Mesh) {
         }
         keep(&mut mesh.positions, &used);
         keep(&mut mesh.normals, &used);
-        keep(&mut mesh.uvs[0], &used);
-        keep(&mut mesh.uvs[1], &used);
+        mesh.uvs.iter_mut().for_each(|uvs| keep(uvs, &used));
         keep(&mut mesh.colors, &used);
+    }
+    if mesh.positions.len() < mesh.file_count as usize {
+        mesh.file_numbers = used.iter().map(|&i| file_numbers[i as usize]).collect();
     }
 }
 

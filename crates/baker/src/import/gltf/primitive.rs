@@ -2,21 +2,24 @@
 
 use std::collections::BTreeMap;
 
-use glam::{DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
 
 use super::accessor::Elements;
 use super::buffers::Buffers;
+use super::document::Document;
 use super::findings::Findings;
+use super::skin;
 use crate::Result;
+use crate::scene::UV_SETS;
 
 /// What to read beside positions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Wanted {
     /// glTF's texture coordinate set for each of `Mesh::uvs`.
-    pub uv_sets: [Option<u32>; 2],
+    pub uv_sets: [Option<u32>; UV_SETS],
     /// COLOR_0.
     pub colors: bool,
 }
@@ -27,9 +30,14 @@ pub(super) struct LocalPrimitive {
     pub positions: Vec<Vec3>,
     /// Empty, or one per position, as in the file.
     pub normals: Vec<Vec3>,
-    pub uvs: [Vec<Vec2>; 2],
+    pub uvs: [Vec<Vec2>; UV_SETS],
     pub colors: Vec<Vec4>,
     pub triangles: Vec<[u32; 3]>,
+    /// Mesh to world for each vertex of a skinned mesh; else empty.
+    pub transforms: Vec<DAffine3>,
+    /// The file's number of each vertex, increasing, and how many vertices the file has.
+    pub file_numbers: Vec<u32>,
+    pub file_count: u32,
     /// How many were dropped.
     pub non_finite: u64,
     pub zero_area: u64,
@@ -58,18 +66,34 @@ fn triangle_mode(primitive: &Primitive) -> Option<Mode> {
     }
 }
 
-type AccessorIndex = gltf::json::Index<gltf::json::Accessor>;
+pub(super) type AccessorIndex = gltf::json::Index<gltf::json::Accessor>;
 
-fn attribute(primitive: &Primitive, semantic: Semantic) -> Option<AccessorIndex> {
+/// The accessor of an attribute.
+pub(super) fn attribute(primitive: &Primitive, semantic: Semantic) -> Option<AccessorIndex> {
     primitive.attributes.get(&Checked::Valid(semantic)).copied()
 }
 
-/// Reads a primitive; none if it makes no triangles (with a finding). `weights` are those of the morph targets.
+/// How a mesh is deformed.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pose<'a> {
+    /// Of the morph targets.
+    pub weights: &'a [f32],
+    /// Mesh to world by joint, of a skinned mesh.
+    pub joints: Option<&'a [DAffine3]>,
+}
+
+/// The accessors of positions and normals; `u32::MAX` without.
+pub(super) fn accessors(primitive: &Primitive) -> [u32; 2] {
+    let number = |semantic| attribute(primitive, semantic).map_or(u32::MAX, |accessor| accessor.value() as u32);
+    [number(Semantic::Positions), number(Semantic::Normals)]
+}
+
+/// Reads a primitive; none if it makes no triangles (with a finding).
 pub(super) fn read(
     buffers: &Buffers,
     primitive: &Primitive,
     place: &str,
-    weights: &[f32],
+    pose: &Pose,
     wanted: Wanted,
     findings: &mut Findings,
 ) -> Result<Option<LocalPrimitive>> {
@@ -140,11 +164,9 @@ pub(super) fn read(
     }
     if wanted.colors
         && let Some(colors) = opened(Semantic::Colors(0), "COLOR_0", &[Type::Vec3, Type::Vec4])?
+        && let Some(accessor) = attribute(primitive, Semantic::Colors(0))
     {
-        local.colors = match colors.kind {
-            Type::Vec4 => used.iter().map(|&i| colors.vector(i as usize).into()).collect(),
-            _ => used.iter().map(|&i| Vec3::from(colors.vector(i as usize)).extend(1.0)).collect(),
-        };
+        local.colors = read_colors(document, colors, accessor.value(), &used, place, findings)?;
     }
     for (uvs, set) in local.uvs.iter_mut().zip(wanted.uv_sets) {
         let Some(set) = set else { continue };
@@ -158,13 +180,32 @@ pub(super) fn read(
             }
         };
     }
-    apply_morph_targets(buffers, primitive, place, weights, &used, positions.count, &mut local)?;
+    apply_morph_targets(buffers, primitive, place, pose.weights, &used, positions.count, &mut local)?;
+    if let Some(joints) = pose.joints {
+        match skin::vertex_transforms(buffers, primitive, place, &used, positions.count, joints)? {
+            Some(transforms) => local.transforms = transforms,
+            None => findings.add("skins-without-joints", 1, || {
+                format!(
+                    "Skinned primitives without JOINTS_0, WEIGHTS_0 or joints stand where their node is, first {place}"
+                )
+            }),
+        }
+    }
+    local.file_count = u32::try_from(positions.count).map_err(|_| {
+        document.unsupported(format!("{place}: {} vertices; at most 2^32 - 1 are read", positions.count))
+    })?;
+    local.file_numbers = used;
 
     // Triangles that cannot be hit.
     let (mut non_finite, mut zero_area) = (0, 0);
     local.triangles = list;
     let positions = &local.positions;
+    // Joints may give a flat triangle an area.
+    let is_skinned = !local.transforms.is_empty();
     local.triangles.retain(|triangle| {
+        if is_skinned {
+            return true;
+        }
         let corners = triangle.map(|i| positions[i as usize].as_dvec3());
         let shape = shape_of(corners);
         non_finite += u64::from(shape == Shape::NonFinite);
@@ -173,6 +214,53 @@ pub(super) fn read(
     });
     (local.non_finite, local.zero_area) = (non_finite, zero_area);
     Ok(Some(local))
+}
+
+/// COLOR_0 of the vertices in use, 0..=1. The specification has floats, which a reader clamps, and normalised u8 or u16;
+/// some exporters forget to say that these are normalised.
+fn read_colors(
+    document: &Document,
+    mut colors: Elements,
+    accessor: usize,
+    used: &[u32],
+    place: &str,
+    findings: &mut Findings,
+) -> Result<Vec<Vec4>> {
+    let place = format!("{place}: COLOR_0 (accessor {accessor})");
+    if !matches!(colors.component, ComponentType::F32 | ComponentType::U8 | ComponentType::U16) {
+        return Err(
+            document.invalid(format!("{place}: its components are {:?}; expected F32, U8 or U16", colors.component))
+        );
+    }
+    findings.add("vertex-colours-not-normalised", u64::from(colors.normalize()), || {
+        format!("Vertex colours that are integers were read as normalised, which the accessor does not say, first in {place}")
+    });
+    let mut clamped = 0;
+    let mut first = None;
+    let mut read = Vec::with_capacity(used.len());
+    for &vertex in used {
+        let color: Vec4 = match colors.kind {
+            Type::Vec4 => colors.vector(vertex as usize).into(),
+            _ => Vec3::from(colors.vector(vertex as usize)).extend(1.0),
+        };
+        if !color.is_finite() {
+            return Err(document.invalid(format!(
+                "{place}: the colour of vertex {vertex} is {color}; expected numbers of 0 to 1. Export the level anew, or \
+                 remove the vertex colours"
+            )));
+        }
+        let within = color.clamp(Vec4::ZERO, Vec4::ONE);
+        if within != color {
+            clamped += 1;
+            first.get_or_insert((vertex, color));
+        }
+        read.push(within);
+    }
+    findings.add("clamped-vertex-colours", clamped, || {
+        let (vertex, color) = first.unwrap_or_default();
+        format!("Vertex colours outside 0 to 1 were clamped, as glTF says, first {color} of vertex {vertex} in {place}")
+    });
+    Ok(read)
 }
 
 /// Whether a triangle can be hit.

@@ -2,168 +2,317 @@
 
 use std::io::Cursor;
 
-use gltf::json::texture::WrappingMode;
+use glam::Vec3;
+use gltf::json::texture::{MagFilter, MinFilter, WrappingMode};
 use gltf::json::validation::Checked;
 use image::{ImageDecoder, ImageReader};
 use rayon::prelude::*;
-use serde_json::{Map, Value};
+use serde_json::{Map as Object, Value};
 
 use super::buffers::Buffers;
+use super::findings::Findings;
 use super::uri;
-use crate::scene::{Texture, Wrap};
+use crate::scene::{Map, Texture, TextureSampler, Wrap, linear_of_srgb};
 use crate::{Error, Result};
 
 /// Pixels per side, and bytes a decoder may allocate: 16384² RGBA of 16 bits is 2 GiB.
 const MAX_SIDE: u32 = 16384;
 const MAX_BYTES: u64 = 2 << 30;
 
+/// What stands in for a texture that is missing: 18 % grey, opaque.
+const MID_GREY: [u8; 4] = [118, 118, 118, 255];
+
 /// A requested texture: a number in [`Decoder`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Request(usize);
+
+/// What a texture is decoded to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Put {
+    /// Colour and alpha, or alpha alone: an image without it need not be kept then. `ignore_alpha` sets it to 1.
+    Texture { ignore_alpha: bool, alpha_only: bool },
+    /// Numbers of which [`Kept::map`] takes one per pixel.
+    Map,
+}
+
+/// The number of a pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Channel {
+    Red,
+    Green,
+    Blue,
+    Alpha,
+    /// The largest of R, G, B, decoded from sRGB, times these.
+    LargestSrgb(Vec3),
+}
 
 /// Collects what to decode.
 #[derive(Default)]
 pub(super) struct Decoder {
     jobs: Vec<Job>,
+    allow_missing: bool,
+    missing: Missing,
+}
+
+/// Textures that could not be had.
+#[derive(Default)]
+struct Missing {
+    count: u64,
+    first: Option<String>,
+}
+
+impl Missing {
+    fn add(&mut self, error: &Error) {
+        self.count += 1;
+        self.first.get_or_insert_with(|| error.to_string());
+    }
 }
 
 /// An image to decode, and how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Job {
-    image: usize,
-    wrap: [Wrap; 2],
-    /// Set alpha to 1.
-    ignore_alpha: bool,
-    /// Only alpha is asked for: an image without it need not be kept.
-    alpha_only: bool,
+    /// `None`: there is none, and that is allowed.
+    image: Option<usize>,
+    sampler: TextureSampler,
+    put: Put,
 }
 
 impl Decoder {
+    /// With nothing to decode. `allow_missing`: what cannot be had is mid-grey, and a finding.
+    pub fn new(allow_missing: bool) -> Decoder {
+        Decoder { allow_missing, ..Decoder::default() }
+    }
+
     /// Asks for glTF texture `index`.
-    pub fn request(
-        &mut self,
-        buffers: &Buffers,
-        index: usize,
-        needs_colour: bool,
-        ignore_alpha: bool,
-    ) -> Result<Request> {
+    pub fn request(&mut self, buffers: &Buffers, index: usize, put: Put) -> Result<Request> {
         let document = buffers.document;
         let texture = document.get(&document.textures, index, "texture", &"a material")?;
         let place = format!("texture {index}");
-        let others = texture.extensions.as_ref().map(|extensions| &extensions.others);
-
-        // Extensions name an image in a format that core glTF does not have; `source` is then the fallback.
-        let source = Some(texture.source.value()).filter(|&source| source != u32::MAX as usize);
-        let source = extension_source(others, "EXT_texture_webp").or(source);
-        let Some(image) = source else {
-            let converter = [
-                ("KHR_texture_basisu", "KTX2", "ktx extract, then name the PNG"),
-                ("EXT_texture_avif", "AVIF", "gltf-transform png"),
-                ("MSFT_texture_dds", "DDS", "an image converter"),
-            ];
-            return Err(match converter.iter().find(|(name, ..)| others.is_some_and(|o| o.contains_key(*name))) {
-                Some((name, format, tool)) => document.unsupported(format!(
-                    "{place}: its only image is {format} ({name}); convert it to PNG, JPEG or WebP ({tool})"
-                )),
-                None => document.invalid(format!("{place}: it names no image (source)")),
-            });
+        let image = match image_of(buffers, texture, &place) {
+            Ok(image) => Some(image),
+            Err(error) if self.allow_missing => {
+                self.missing.add(&error);
+                None
+            }
+            Err(error) => return Err(error),
         };
-        let wrap = match texture.sampler {
-            None => [Wrap::Repeat; 2],
-            Some(sampler) => {
-                let sampler = document.get(&document.samplers, sampler.value(), "sampler", &place)?;
-                [sampler.wrap_s, sampler.wrap_t].map(|mode| match mode {
-                    Checked::Valid(WrappingMode::ClampToEdge) => Wrap::ClampToEdge,
-                    Checked::Valid(WrappingMode::MirroredRepeat) => Wrap::MirroredRepeat,
-                    Checked::Valid(WrappingMode::Repeat) | Checked::Invalid => Wrap::Repeat,
-                })
-            }
+        let sampler = sampler_of(buffers, texture, &place)?;
+        let same = |old: &Job| {
+            let puts = match (old.put, put) {
+                (Put::Texture { ignore_alpha: a, .. }, Put::Texture { ignore_alpha: b, .. }) => a == b,
+                (old, new) => old == new,
+            };
+            old.image == image && old.sampler == sampler && puts
         };
-        document.get(&document.images, image, "image", &place)?;
-
-        let job = Job { image, wrap, ignore_alpha, alpha_only: !needs_colour };
-        let same = |old: &Job| Job { alpha_only: job.alpha_only, ..*old } == job;
-        match self.jobs.iter().position(same) {
-            Some(at) => {
-                self.jobs[at].alpha_only &= job.alpha_only;
-                Ok(Request(at))
-            }
-            None => {
-                self.jobs.push(job);
-                Ok(Request(self.jobs.len() - 1))
-            }
+        let at = self.jobs.iter().position(|old| same(old));
+        let Some(at) = at else {
+            self.jobs.push(Job { image, sampler, put });
+            return Ok(Request(self.jobs.len() - 1));
+        };
+        if let (Put::Texture { alpha_only: old, .. }, Put::Texture { alpha_only, .. }) = (&mut self.jobs[at].put, put) {
+            *old &= alpha_only;
         }
+        Ok(Request(at))
     }
 
     /// Decodes everything that was asked for, in parallel; the first error in the order of requests wins.
-    pub fn decode(self, buffers: &Buffers) -> Result<Decoded> {
+    pub fn decode(mut self, buffers: &Buffers, findings: &mut Findings) -> Result<Decoded> {
         let document = buffers.document;
         let mut encoded = Vec::new();
         for job in &self.jobs {
-            encoded.push((*job, image_label(buffers, job.image), read_image(buffers, job.image)?));
+            let bytes = match job.image {
+                None => None,
+                Some(image) => match read_image(buffers, image) {
+                    Ok(bytes) => Some((image_label(buffers, image), bytes)),
+                    Err(error) if self.allow_missing => {
+                        self.missing.add(&error);
+                        None
+                    }
+                    Err(error) => return Err(error),
+                },
+            };
+            encoded.push((*job, bytes));
         }
         let path = document.path;
-        let decoded: Vec<Result<Option<Texture>>> = encoded
+        let decoded: Vec<Result<Image>> = encoded
             .into_par_iter()
-            .map(|(job, label, bytes)| {
-                decode_image(&bytes, job).map_err(|problem| match problem {
+            .map(|(job, bytes)| {
+                let Some((label, bytes)) = bytes else { return Ok(Image::missing(job)) };
+                let texture = decode_image(&bytes, job).map_err(|problem| match problem {
                     Problem::Damaged(message) => Error::invalid(path, format!("{label}: {message}")),
                     Problem::Unsupported(message) => Error::unsupported(path, format!("{label}: {message}")),
-                })
+                })?;
+                Ok(Image { texture, is_missing: false })
             })
             .collect();
-        Ok(Decoded { textures: decoded.into_iter().collect::<Result<_>>()? })
+        let mut images = Vec::with_capacity(decoded.len());
+        for (image, job) in decoded.into_iter().zip(&self.jobs) {
+            match image {
+                Err(error) if self.allow_missing => {
+                    self.missing.add(&error);
+                    images.push(Image::missing(*job));
+                }
+                image => images.push(image?),
+            }
+        }
+        findings.add("missing-textures", self.missing.count, || {
+            format!(
+                "Textures that could not be read were taken as mid-grey (18 %), and those of metallic, specular and \
+                 transmission as 0, because missing ones are allowed, first: {}",
+                self.missing.first.unwrap_or_default()
+            )
+        });
+        Ok(Decoded { images })
     }
 }
 
-/// Decoded textures by request; none where only alpha was asked for and there is none.
+/// The image of a texture.
+fn image_of(buffers: &Buffers, texture: &gltf::json::Texture, place: &str) -> Result<usize> {
+    let document = buffers.document;
+    let others = texture.extensions.as_ref().map(|extensions| &extensions.others);
+    // Extensions name an image in a format that core glTF does not have; `source` is then the fallback.
+    let source = Some(texture.source.value()).filter(|&source| source != u32::MAX as usize);
+    let source = extension_source(others, "EXT_texture_webp").or(source);
+    let Some(image) = source else {
+        let converter = [
+            ("KHR_texture_basisu", "KTX2", KTX2_ADVICE),
+            ("EXT_texture_avif", "AVIF", ADVICE),
+            ("MSFT_texture_dds", "DDS", "an image converter"),
+        ];
+        return Err(match converter.iter().find(|(name, ..)| others.is_some_and(|o| o.contains_key(*name))) {
+            Some((name, format, tool)) => document.unsupported(format!(
+                "{place}: its only image is {format} ({name}); convert it to PNG, JPEG or WebP ({tool})"
+            )),
+            None => document.invalid(format!("{place}: it names no image (source)")),
+        });
+    };
+    document.get(&document.images, image, "image", &place)?;
+    Ok(image)
+}
+
+/// What turns all textures of a level into PNG. Without `--formats` it looks at no AVIF.
+const ADVICE: &str = "gltf-transform png IN OUT --formats \"*\"";
+const KTX2_ADVICE: &str = "ktx extract, then name the PNG";
+
+/// How a texture is looked up. A sampler that says how to make it smaller, and not how to make it larger, means both.
+fn sampler_of(buffers: &Buffers, texture: &gltf::json::Texture, place: &str) -> Result<TextureSampler> {
+    let document = buffers.document;
+    let Some(sampler) = texture.sampler else { return Ok(TextureSampler::default()) };
+    let sampler = document.get(&document.samplers, sampler.value(), "sampler", &place)?;
+    let wrap = [sampler.wrap_s, sampler.wrap_t].map(|mode| match mode {
+        Checked::Valid(WrappingMode::ClampToEdge) => Wrap::ClampToEdge,
+        Checked::Valid(WrappingMode::MirroredRepeat) => Wrap::MirroredRepeat,
+        Checked::Valid(WrappingMode::Repeat) | Checked::Invalid => Wrap::Repeat,
+    });
+    let nearest = match (sampler.mag_filter, sampler.min_filter) {
+        (Some(Checked::Valid(mag)), _) => mag == MagFilter::Nearest,
+        (_, Some(Checked::Valid(min))) => {
+            matches!(min, MinFilter::Nearest | MinFilter::NearestMipmapNearest | MinFilter::NearestMipmapLinear)
+        }
+        _ => false,
+    };
+    Ok(TextureSampler { wrap, nearest })
+}
+
+/// A decoded image.
+struct Image {
+    /// None where only alpha was asked for and there is none.
+    texture: Option<Texture>,
+    is_missing: bool,
+}
+
+impl Image {
+    fn missing(job: Job) -> Image {
+        let texture = Texture { width: 1, height: 1, rgba8: vec![MID_GREY], sampler: job.sampler };
+        Image { texture: Some(texture), is_missing: true }
+    }
+}
+
+/// Decoded images by request.
 pub(super) struct Decoded {
-    textures: Vec<Option<Texture>>,
+    images: Vec<Image>,
 }
 
 impl Decoded {
     /// Starts to number those that materials look up.
     pub fn keep(self) -> Kept {
-        Kept { number: vec![None; self.textures.len()], order: Vec::new(), decoded: self.textures }
+        Kept {
+            number: vec![None; self.images.len()],
+            order: Vec::new(),
+            images: self.images,
+            maps: Vec::new(),
+            made: Vec::new(),
+        }
     }
 }
 
-/// Decoded textures, and which of them are looked up (rather than averaged).
+/// Decoded images, and which of them are looked up as textures, which as maps.
 pub(super) struct Kept {
-    decoded: Vec<Option<Texture>>,
+    images: Vec<Image>,
     number: Vec<Option<u32>>,
     order: Vec<usize>,
+    maps: Vec<Map>,
+    made: Vec<(Request, Channel, (f32, Option<u32>))>,
 }
 
 impl Kept {
     /// The index in `Scene::textures` of a request.
     pub fn texture(&mut self, request: Request) -> Option<u32> {
-        self.decoded[request.0].as_ref()?;
+        self.images[request.0].texture.as_ref()?;
         Some(*self.number[request.0].get_or_insert_with(|| {
             self.order.push(request.0);
             self.order.len() as u32 - 1
         }))
     }
 
-    /// The mean of the blue channel, taken as linear: metallic.
-    pub fn mean_blue(&self, request: Request) -> f32 {
-        match &self.decoded[request.0] {
-            Some(texture) if !texture.rgba8.is_empty() => {
-                let sum: u64 = texture.rgba8.iter().map(|pixel| u64::from(pixel[2])).sum();
-                (sum as f64 / (255.0 * texture.rgba8.len() as f64)) as f32
-            }
-            _ => 1.0,
+    /// A channel of a request: what is the same all over, and the index in `Scene::maps` of what that is to be multiplied by,
+    /// if anything.
+    pub fn map(&mut self, request: Request, channel: Channel) -> (f32, Option<u32>) {
+        if let Some((.., found)) = self.made.iter().find(|made| (made.0, made.1) == (request, channel)) {
+            return *found;
         }
+        let found = self.make_map(request, channel);
+        self.made.push((request, channel, found));
+        found
     }
 
-    /// The textures in the order of their numbers.
-    pub fn into_textures(mut self) -> Vec<Texture> {
-        self.order.iter().filter_map(|&request| self.decoded[request].take()).collect()
+    fn make_map(&mut self, request: Request, channel: Channel) -> (f32, Option<u32>) {
+        let Image { texture, is_missing } = &self.images[request.0];
+        if *is_missing {
+            // Rough, and of full thickness; no metal, and nothing goes through.
+            return (if channel == Channel::Green { 1.0 } else { 0.0 }, None);
+        }
+        let Some(texture) = texture.as_ref().filter(|texture| !texture.rgba8.is_empty()) else { return (1.0, None) };
+        let value = |pixel: &[u8; 4]| match channel {
+            Channel::Red => pixel[0],
+            Channel::Green => pixel[1],
+            Channel::Blue => pixel[2],
+            Channel::Alpha => pixel[3],
+            Channel::LargestSrgb(factor) => {
+                let linear = Vec3::new(pixel[0].into(), pixel[1].into(), pixel[2].into());
+                let linear = Vec3::from(linear.to_array().map(|byte| linear_of_srgb(byte as u8)));
+                ((linear * factor).max_element() * 255.0).round() as u8
+            }
+        };
+        let first = value(&texture.rgba8[0]);
+        if texture.rgba8.iter().all(|pixel| value(pixel) == first) {
+            return (f32::from(first) / 255.0, None);
+        }
+        let values = texture.rgba8.iter().map(value).collect();
+        let Texture { width, height, sampler, .. } = *texture;
+        self.maps.push(Map { width, height, values, sampler });
+        (1.0, Some(self.maps.len() as u32 - 1))
+    }
+
+    /// The textures and the maps in the order of their numbers.
+    pub fn into_parts(mut self) -> (Vec<Texture>, Vec<Map>) {
+        let textures = self.order.iter().filter_map(|&request| self.images[request].texture.take()).collect();
+        (textures, self.maps)
     }
 }
 
 /// The image that an extension of a texture names, e.g. EXT_texture_webp's.
-fn extension_source(others: Option<&Map<String, Value>>, name: &str) -> Option<usize> {
+fn extension_source(others: Option<&Object<String, Value>>, name: &str) -> Option<usize> {
     usize::try_from(others?.get(name)?.get("source")?.as_u64()?).ok()
 }
 
@@ -199,10 +348,17 @@ enum Problem {
 fn decode_image(bytes: &[u8], job: Job) -> std::result::Result<Option<Texture>, Problem> {
     // By the first bytes, whatever name and media type say.
     let foreign = [
-        (&b"\xABKTX 20\xBB"[..], 0, "KTX2", "ktx extract"),
-        (&b"\xABKTX 11\xBB"[..], 0, "KTX", "ktx extract"),
+        (&b"\xABKTX 20\xBB"[..], 0, "KTX2", KTX2_ADVICE),
+        (&b"\xABKTX 11\xBB"[..], 0, "KTX", KTX2_ADVICE),
         (&b"DDS "[..], 0, "DDS", "an image converter"),
-        (&b"ftypavif"[..], 4, "AVIF", "gltf-transform png"),
+        (&b"ftypavif"[..], 4, "AVIF", ADVICE),
+        (&b"ftypavis"[..], 4, "AVIF", ADVICE),
+        (&b"ftyphei"[..], 4, "HEIC", "an image converter"),
+        (&b"ftypmif1"[..], 4, "HEIF", "an image converter"),
+        (&b"\0\0\0\x0CjP  \r\n\x87\n"[..], 0, "JPEG 2000", "an image converter"),
+        (&b"\xFF\x4F\xFF\x51"[..], 0, "JPEG 2000", "an image converter"),
+        (&b"\0\0\0\x0CJXL \r\n\x87\n"[..], 0, "JPEG XL", "an image converter"),
+        (&b"\xFF\x0A"[..], 0, "JPEG XL", "an image converter"),
     ];
     for (magic, at, format, tool) in foreign {
         if bytes.get(at..).is_some_and(|rest| rest.starts_with(magic)) {
@@ -227,14 +383,18 @@ fn decode_image(bytes: &[u8], job: Job) -> std::result::Result<Option<Texture>, 
     limits.max_alloc = Some(MAX_BYTES);
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(damaged)?;
-    if job.alpha_only && !decoder.color_type().has_alpha() {
+    let (ignore_alpha, alpha_only) = match job.put {
+        Put::Texture { ignore_alpha, alpha_only } => (ignore_alpha, alpha_only),
+        Put::Map => (false, false),
+    };
+    if alpha_only && !decoder.color_type().has_alpha() {
         return Ok(None);
     }
     let mut image = image::DynamicImage::from_decoder(decoder).map_err(damaged)?.into_rgba8();
-    if job.ignore_alpha {
+    if ignore_alpha {
         image.pixels_mut().for_each(|pixel| pixel.0[3] = 255);
     }
     let (width, height) = image.dimensions();
     let rgba8 = image.pixels().map(|pixel| pixel.0).collect();
-    Ok(Some(Texture { width, height, rgba8, wrap: job.wrap }))
+    Ok(Some(Texture { width, height, rgba8, sampler: job.sampler }))
 }

@@ -420,7 +420,10 @@ pub(crate) fn solid_angle_density(density: f32, line: Vec3, normal: Vec3) -> f32
 
 /// Mean over a triangle of the mean of R, G and B that its front emits.
 fn mean_emission(scene: &Scene, surfaces: &Surfaces, triangle: u32) -> f32 {
-    if surfaces.material(scene, triangle).emission_texture.is_none() {
+    let material = surfaces.material(scene, triangle);
+    let varies =
+        material.emission_texture.is_some() || (material.unlit && !surfaces.mesh(scene, triangle).colors.is_empty());
+    if !varies {
         return surfaces.emission(scene, &surfaces.point(triangle, Vec2::splat(1.0 / 3.0), false)).element_sum() / 3.0;
     }
     let (mut sum, mut count) = (0.0, 0.0);

@@ -390,7 +390,10 @@ impl<'a> Search<'a> {
         let shown = brightness(&shown.to_array());
         let is_left = shown <= self.limit && shown * probe.gain > other.limit * placed[other.own].gain;
         !is_left
-            && environment.transmittance(scene, environment.leave(place), probe.position, Some(place.triangle)) > 0.5
+            && environment
+                .transmittance(scene, environment.leave(place), probe.position, Some(place.triangle))
+                .max_element()
+                > 0.5
     }
 }
 

@@ -394,11 +394,7 @@ pub fn gdibl_settings(quality: &QualityFlags, captured: bool, directions: u64) -
 
 /// How paths are traced.
 pub fn path_settings(quality: &QualityFlags) -> Result<PathSettings, Fault> {
-    let bounces = quality.bounces.unwrap_or(PathSettings::default().bounces);
-    if bounces > PathSettings::MAX_BOUNCES {
-        return Err(Fault::Usage(format!("--bounces {bounces}: expected at most {}", PathSettings::MAX_BOUNCES)));
-    }
-    Ok(PathSettings { bounces, ..PathSettings::default() })
+    Ok(PathSettings { bounces: quality.bounces, ..PathSettings::default() })
 }
 
 impl Config {

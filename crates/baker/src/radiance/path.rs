@@ -23,26 +23,24 @@ use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
 /// How paths are traced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PathSettings {
-    /// Surfaces that light may leave on its way, the one that is seen counted: 1 is direct light. At most
-    /// [`PathSettings::MAX_BOUNCES`].
-    pub bounces: u32,
+    /// Surfaces that light may leave on its way, the one that is seen counted: 1 is direct light. `None`: any number;
+    /// roulette alone ends a walk, and no light is left out.
+    pub bounces: Option<u32>,
     /// Geometry that is there: for captures the environment alone, because probes have not seen the rest.
     pub scene_geometry: bool,
 }
 
-impl PathSettings {
-    /// The most bounces.
-    pub const MAX_BOUNCES: u32 = 4096;
-}
-
 impl Default for PathSettings {
     fn default() -> Self {
-        PathSettings { bounces: 64, scene_geometry: true }
+        PathSettings { bounces: None, scene_geometry: true }
     }
 }
 
 /// From this surface on a walk may end by roulette.
 const ROULETTE_FROM: u32 = 2;
+/// No walk goes on with a greater probability than this: where surfaces take no light and none escapes, it would never end.
+/// What goes on has the weight of what does not, so this leaves no light out.
+const MOST_SURVIVAL: f32 = 0.999;
 /// Pairs of random numbers of one surface; those of the node or pixel come first.
 const PAIRS: u32 = 4;
 
@@ -64,7 +62,6 @@ impl<'a> Path<'a> {
     /// Builds the hierarchy. `scene` must have been read with
     /// [`TextureNeeds::All`](crate::import::gltf::TextureNeeds::All).
     pub fn new(scene: &'a Scene, distant: Option<&'a Distant>, settings: PathSettings) -> Path<'a> {
-        assert!(settings.bounces <= PathSettings::MAX_BOUNCES, "bounces {}", settings.bounces);
         let frame = Frame::of_scene(scene);
         let surfaces = Surfaces::new(scene, |mesh| settings.scene_geometry || mesh.role == Role::Environment, &frame);
         let bright = surfaces.iter().flat_map(|surfaces| bright_triangles(scene, &[surfaces])).flatten();
@@ -85,8 +82,8 @@ impl<'a> Path<'a> {
         }
     }
 
-    /// Surfaces that light may leave on its way.
-    pub fn bounces(&self) -> u32 {
+    /// Surfaces that light may leave on its way; `None`: any number.
+    pub fn bounces(&self) -> Option<u32> {
         self.settings.bounces
     }
 
@@ -132,7 +129,7 @@ impl<'a> Path<'a> {
         let (mut met, mut direction) = (first, direction);
         // The surface that was left, and the density of the direction there; the first ray was paid for by who sent it.
         let mut left: Option<(Receiver, f32)> = None;
-        for bounce in 0..=self.settings.bounces {
+        for bounce in 0.. {
             let pair = 1 + PAIRS * bounce;
             let Some(hit) = met else {
                 let sky = self.sky.as_ref().map_or(Vec3::ZERO, |sky| sky.radiance(direction));
@@ -148,13 +145,13 @@ impl<'a> Path<'a> {
             }
             // The last surface only glows.
             throughput *= surfaces.albedo(self.scene, &hit);
-            if bounce == self.settings.bounces || throughput == Vec3::ZERO {
+            if self.settings.bounces == Some(bounce) || throughput == Vec3::ZERO {
                 break;
             }
             let start = surfaces.leave(&hit);
             light += throughput * self.direct(start, hit.normal, pair, context);
             // Roulette: what survives goes on with the weight of what does not.
-            let survival = throughput.max_element().min(1.0);
+            let survival = throughput.max_element().min(MOST_SURVIVAL);
             if bounce >= ROULETTE_FROM {
                 if context.point(pair + 3)[0] >= survival {
                     break;

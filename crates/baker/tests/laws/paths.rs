@@ -111,7 +111,7 @@ fn bounces_are_counted_from_the_surface_that_is_seen() {
     let mut scene = Scene::default();
     add_of(&mut scene, &box_of(DVec3::splat(-1.0), DVec3::splat(1.0)), grey(0.5, 1.0));
     for bounces in 0..5 {
-        let path = Path::new(&scene, None, PathSettings { bounces, ..PathSettings::default() });
+        let path = Path::new(&scene, None, PathSettings { bounces: Some(bounces), ..PathSettings::default() });
         let found = irradiance(&path, DVec3::new(0.2, 0.1, -0.3), Vec3::X, 1 << 14).irradiance.x / PI;
         let expected = 2.0 - 0.5f64.powi(bounces as i32);
         assert!((found / expected - 1.0).abs() < 4e-3, "{bounces} bounces: {found}, expected {expected}");
@@ -130,7 +130,7 @@ fn clear_surfaces_let_their_share_through_both_ways() {
         let base_color = Vec4::new(0.0, 0.0, 0.0, opacity);
         let sheet = Material { alpha: Alpha::Blend, base_color, metallic: 0.0, ..Material::default() };
         add_of(&mut scene, &square(DVec3::new(0.0, 1.0, 0.0), 50.0, true), sheet);
-        let path = Path::new(&scene, None, PathSettings { bounces: 1, ..PathSettings::default() });
+        let path = Path::new(&scene, None, PathSettings { bounces: Some(1), ..PathSettings::default() });
         // What the floor reflects passes no sheet on its way here.
         [Vec3::Y, Vec3::NEG_Y].map(|n| irradiance(&path, DVec3::new(0.0, 0.5, 0.0), n, 1 << 15).irradiance.x)
     };

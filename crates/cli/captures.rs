@@ -1,12 +1,12 @@
 //! Probes captured from the level: for `capture`, and for a bake or a picture that was given none.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, Placement, capture, place_probes};
+use gdibl_baker::capture::{CaptureSettings, Captured, FREE_PLACES, PlaceSettings, Placement, capture, place_probes};
 use gdibl_baker::import::gltf::{TextureNeeds, read_files};
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
 use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
@@ -15,7 +15,7 @@ use gdibl_baker::radiance::path::{Path as Paths, PathSettings, specular_left_out
 use gdibl_baker::scene::Scene;
 use gdibl_baker::{Control, Finding};
 
-use crate::config::{CaptureFlags, Config, ProbeEntry, QualityFlags};
+use crate::config::{CaptureFlags, Config, ProbeEntry, Punctual, QualityFlags};
 use crate::fault::Fault;
 use crate::inputs::{Inputs, images_of};
 use crate::progress::Progress;
@@ -69,9 +69,16 @@ pub fn path_settings(config: &Config) -> Result<PathSettings, Fault> {
 }
 
 /// The places that were asked for, by files in `folder`.
-pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path) -> Vec<Place> {
+pub fn places(
+    scene: &Scene,
+    paths: &Paths,
+    flags: &CaptureFlags,
+    folder: &Path,
+    cancel: &AtomicBool,
+    quiet: bool,
+) -> Result<Vec<Place>, Fault> {
     let positions: Vec<DVec3> = if flags.positions.is_empty() {
-        let placement = automatic_placement(scene, paths, flags);
+        let placement = automatic_placement(scene, paths, flags, cancel, quiet)?;
         if let Some(last) = placement.suggestions.last() {
             let share = last.after.coverage * 100.0;
             let count = placement.suggestions.len();
@@ -83,14 +90,37 @@ pub fn places(scene: &Scene, paths: &Paths, flags: &CaptureFlags, folder: &Path)
     };
     let digits = positions.len().saturating_sub(1).to_string().len();
     let file = |i: usize| folder.join(format!("probe_{i:0digits$}.exr"));
-    positions.into_iter().enumerate().map(|(i, position)| Place { position, file: file(i) }).collect()
+    Ok(positions.into_iter().enumerate().map(|(i, position)| Place { position, file: file(i) }).collect())
 }
 
 /// Where --auto places probes.
-pub fn automatic_placement(scene: &Scene, paths: &Paths, flags: &CaptureFlags) -> Placement {
+pub fn automatic_placement(
+    scene: &Scene,
+    paths: &Paths,
+    flags: &CaptureFlags,
+    cancel: &AtomicBool,
+    quiet: bool,
+) -> Result<Placement, Fault> {
     let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
     let settings = PlaceSettings { most: flags.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
-    bounds.map(|bounds| place_probes(paths, bounds, &[], &settings)).unwrap_or_default()
+    let Some(bounds) = bounds else { return Ok(Placement::default()) };
+    place(paths, bounds, &[], &settings, cancel, quiet)
+}
+
+/// Places probes, with progress, until interrupted.
+pub fn place(
+    paths: &Paths,
+    bounds: (DVec3, DVec3),
+    existing: &[DVec3],
+    settings: &PlaceSettings,
+    cancel: &AtomicBool,
+    quiet: bool,
+) -> Result<Placement, Fault> {
+    let progress = Progress::new("places", FREE_PLACES as u64, quiet);
+    let control = Control { cancel, progress: &|places, rays| progress.advance(places, rays) };
+    let placement = place_probes(paths, bounds, existing, settings, &control).map_err(|_| Fault::Interrupted)?;
+    progress.finish();
+    Ok(placement)
 }
 
 /// Captures and writes every place.
@@ -150,7 +180,11 @@ pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool
             captured.folder.display()
         ));
     }
-    if inputs.probes.iter().all(|probe| probe.panorama.pixels().all(|pixel| pixel == [0.0; 3])) {
+    // They hold reflected light alone: black walls around a lamp reflect none.
+    let glows = |mesh: &gdibl_baker::scene::Mesh| inputs.scene.materials[mesh.material as usize].emission != Vec3::ZERO;
+    let included = config.quality.punctual == Some(Punctual::Include) && !inputs.scene.lights.is_empty();
+    let is_lit_directly = included || inputs.scene.meshes.iter().any(glows);
+    if !is_lit_directly && inputs.probes.iter().all(|probe| probe.panorama.pixels().all(|pixel| pixel == [0.0; 3])) {
         return Err(Fault::Bound(format!(
             "{}: no light reaches any of the {count} probes that were captured from it: is it closed under its sky? Give \
              it lights, or --probes",
@@ -192,7 +226,14 @@ fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<Aut
     // Filled beside, then renamed: a folder that is there is whole.
     let filling = tempfile::Builder::new().prefix(".filling-").tempdir_in(&parent).map_err(writing)?;
     let flags = CaptureFlags { auto: Some(true), ..config.capture.clone() };
-    let places = places(&inputs.scene, &paths, &flags, filling.path());
+    let places = match places(&inputs.scene, &paths, &flags, filling.path(), cancel, quiet) {
+        Ok(places) => places,
+        Err(fault) => {
+            drop(filling);
+            let _ = std::fs::remove_dir(&parent); // if it holds nothing else
+            return Err(fault);
+        }
+    };
     if places.is_empty() {
         drop(filling);
         let _ = std::fs::remove_dir(&parent); // if it holds nothing else

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use gdibl_baker::analyse::{Coverage, CoveragePaint, CoverageView, Covered, Viewpoint, coverage};
-use gdibl_baker::capture::{PlaceSettings, Placement, place_probes};
+use gdibl_baker::capture::{PlaceSettings, Placement};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::write_png;
 use gdibl_baker::radiance::path::Path as Paths;
@@ -16,10 +16,11 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::render::{CameraFlags, camera_of, parse_size};
-use crate::captures::path_settings;
+use crate::captures::{path_settings, place};
 use crate::config::{CaptureFlags, Config, FileFlags, GridFlags, QualityFlags, set_threads};
 use crate::fault::Fault;
 use crate::inputs::{Inputs, parse_bounds};
+use crate::progress::cancel_on_interrupt;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -286,7 +287,8 @@ fn run_suggest(arguments: &SuggestArguments) -> Result<(), Fault> {
     let settings = PlaceSettings { most, gain: arguments.gain.unwrap_or(defaults.gain) };
     let paths = Paths::new(&level.inputs.scene, level.inputs.distant.as_ref(), path_settings(&level.config)?);
     let existing: Vec<DVec3> = level.inputs.probes.iter().map(|probe| probe.position).collect();
-    let placement = place_probes(&paths, level.bounds, &existing, &settings);
+    let cancel = cancel_on_interrupt();
+    let placement = place(&paths, level.bounds, &existing, &settings, &cancel, arguments.level.json)?;
     if placement.places == 0 {
         return Err(level.nothing_free());
     }

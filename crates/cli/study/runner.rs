@@ -169,7 +169,7 @@ impl Runner<'_> {
         let paths = Path::new(scene, distant.as_ref(), captures::path_settings(self.config)?);
         let placed = *captured && flags.positions.is_empty();
         if placed {
-            captures::automatic_placement(scene, &paths, flags);
+            captures::automatic_placement(scene, &paths, flags, self.cancel, true)?;
         }
         cpu_seconds += clock.cpu_seconds();
         wall_seconds += clock.wall_seconds();

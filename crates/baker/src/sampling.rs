@@ -72,6 +72,8 @@ impl Stream {
 pub(crate) mod streams {
     /// Texels of what scene geometry does to the environment.
     pub const TEXELS: u64 = 1 << 63;
+    /// The same, for those who stand near.
+    pub const NEAR_TEXELS: u64 = 3 << 62;
     /// Pixels of captured probes.
     pub const PROBES: u64 = 1 << 62;
     /// Places where a probe could stand.
@@ -84,6 +86,10 @@ pub(crate) mod streams {
     pub const ENERGY: u64 = 1 << 59;
     /// Places on surfaces that are asked whether a probe sees them.
     pub const COVERAGE: u64 = 1 << 58;
+    /// Rays that tell whether chance finds what glows.
+    pub const GLOW: u64 = 1 << 57;
+    /// Walks that tell whether any surface takes light.
+    pub const ENDLESS: u64 = 1 << 56;
 }
 
 /// SplitMix64's finaliser (Steele, Lea, Flood, 2014): every input bit moves every output bit.

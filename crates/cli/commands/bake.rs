@@ -9,7 +9,7 @@ use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::exposure::ExposureMatch;
 use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
-use gdibl_baker::radiance::path::Path;
+use gdibl_baker::radiance::path::{Path, light_without_end};
 use gdibl_baker::records::{
     DeringingRecord, ErrorSummary, PackingRecord, ProbeRecord, Records, SettingsRecord, SparseRecord, StandingRecord,
     StatisticsRecord, SunRecord, WallsRecord,
@@ -150,7 +150,11 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
             if arguments.plan {
                 return print_plan([plan, between].concat(), &config, arguments.json);
             }
-            (plan, job.bake(&path)?)
+            let endless = light_without_end(&inputs.scene, &path);
+            endless.iter().for_each(|finding| eprintln!("gdibl: {}: {}", finding.id, finding.message));
+            let found = job.bake(&path)?;
+            inputs.findings.extend(endless);
+            (plan, found)
         }
     };
     let (sparse_nodes, mut baked, sparse) = found;

@@ -1,12 +1,13 @@
 //! `gdibl capture`: light probes from the level itself.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use gdibl_baker::Finding;
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::panorama::Mapping;
-use gdibl_baker::radiance::path::Path as Paths;
+use gdibl_baker::radiance::path::{Path as Paths, light_without_end};
 use glam::DVec3;
 use serde::Serialize;
 
@@ -101,13 +102,15 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     }
     let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), path_settings(&config)?);
     let folder = arguments.output.clone();
-    let places = choose_places(&inputs, &paths, &config, folder.as_deref(), &arguments.input)?;
+    let places =
+        choose_places(&inputs, &paths, &config, folder.as_deref(), &arguments.input, (&cancel, arguments.run.quiet))?;
     for folder in places.iter().filter_map(|place| place.file.parent()) {
         std::fs::create_dir_all(folder).map_err(|error| Fault::writing(folder, &error))?;
     }
     let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &cancel, arguments.run.quiet)?;
 
     let mut findings = inputs.findings;
+    findings.extend(light_without_end(&inputs.scene, &paths));
     findings.extend(outcomes.iter().flat_map(|outcome| outcome.findings.iter().cloned()));
     let report = Report {
         probes: outcomes.iter().map(|outcome| probe_report(outcome, settings.width)).collect(),
@@ -138,10 +141,11 @@ fn choose_places(
     config: &Config,
     folder: Option<&Path>,
     input: &Path,
+    (cancel, quiet): (&AtomicBool, bool),
 ) -> Result<Vec<Place>, Fault> {
     let default_folder = input.with_extension("probes");
     if !config.capture.positions.is_empty() || config.capture.auto == Some(true) {
-        let places = places(&inputs.scene, paths, &config.capture, folder.unwrap_or(&default_folder));
+        let places = places(&inputs.scene, paths, &config.capture, folder.unwrap_or(&default_folder), cancel, quiet)?;
         if places.is_empty() {
             return Err(Fault::Bound(format!(
                 "{}: --auto found no place for a probe: every place tried stands in a solid or sees nothing; give \

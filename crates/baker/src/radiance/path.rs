@@ -8,16 +8,17 @@
 //!
 //! Both sides of every triangle block and reflect. Specular lobes are left out: metals are black.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
+use std::collections::BTreeSet;
 
 use super::emitters::{Receiver, bright_triangles, solid_angle_density};
 use super::guide::Guide;
 use super::punctual::{Arriving, Punctual};
 use super::sky::{Distant, Sky};
-use super::{PathContext, Radiance, RadianceFunction, Seen};
+use super::{MOST_SURVIVAL, PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
-use crate::sampling::cosine_hemisphere;
-use crate::scene::{Role, Scene};
+use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
+use crate::scene::{Material, Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
 
 /// How paths are traced.
@@ -38,9 +39,6 @@ impl Default for PathSettings {
 
 /// From this surface on a walk may end by roulette.
 const ROULETTE_FROM: u32 = 2;
-/// No walk goes on with a greater probability than this: where surfaces take no light and none escapes, it would never end.
-/// What goes on has the weight of what does not, so this leaves no light out.
-const MOST_SURVIVAL: f32 = 0.999;
 /// Pairs of random numbers of one surface; those of the node or pixel come first.
 const PAIRS: u32 = 4;
 
@@ -164,6 +162,29 @@ impl<'a> Path<'a> {
             met = self.nearest(start, direction, pair + PAIRS, context);
         }
         light
+    }
+
+    /// The materials that a walk from here met, if light came by and it was taken neither by them nor by escape.
+    fn endless_walk(&self, start: Hit, context: &mut PathContext) -> Option<BTreeSet<u32>> {
+        let surfaces = self.surfaces.as_ref()?;
+        let (mut hit, mut kept, mut is_lit) = (start, Vec3::ONE, false);
+        let mut materials = BTreeSet::new();
+        for bounce in 0..REFLECTIONS {
+            let pair = 2 + PAIRS * bounce;
+            kept *= surfaces.albedo(self.scene, &hit);
+            if kept.max_element() < KEPT {
+                return None;
+            }
+            materials.insert(surfaces.mesh(self.scene, hit.triangle).material);
+            let start = surfaces.leave(&hit);
+            if !is_lit && bounce < ASKED {
+                is_lit = surfaces.emission(self.scene, &hit) != Vec3::ZERO
+                    || self.direct(start, hit.normal, pair, context) != Vec3::ZERO;
+            }
+            let direction = cosine_hemisphere(hit.normal, context.point(pair));
+            hit = self.nearest(start, direction, pair + PAIRS, context)?;
+        }
+        is_lit.then_some(materials)
     }
 
     /// Density per steradian with which a receiver's own ray toward an emitter finds this hit.
@@ -328,7 +349,7 @@ impl RadianceFunction for Path<'_> {
 pub fn specular_left_out(scene: &Scene) -> Option<Finding> {
     // Reflected from white light that comes from all sides, by area: diffusely, and by metals.
     let (mut diffuse, mut specular) = (0.0, 0.0);
-    let mut metals = std::collections::BTreeSet::new();
+    let mut metals = BTreeSet::new();
     for mesh in &scene.meshes {
         let material = &scene.materials[mesh.material as usize];
         if material.unlit || material.base_color.truncate() == Vec3::ZERO {
@@ -351,6 +372,55 @@ pub fn specular_left_out(scene: &Scene) -> Option<Finding> {
             metals.len()
         );
         Finding::new("specular-left-out", metals.len() as u64, message)
+    })
+}
+
+/// Walks that look for light without end, how often each is reflected, and the least share of its light that it must keep.
+const WALKS: u32 = 64;
+const REFLECTIONS: u32 = 1024;
+const KEPT: f32 = 0.9;
+/// Of the first so many surfaces each walk asks whether they are lit.
+const ASKED: u32 = 32;
+
+/// Lit places where light is reflected on and on, because no surface takes any of it and it does not escape:
+/// `light-without-end`, counted in walks of 64, with the materials. What is baked there is noise: the sum of the light has no
+/// end. Nothing is traced unless some material is as good as white.
+pub fn light_without_end(scene: &Scene, path: &Path) -> Option<Finding> {
+    let surfaces = path.surfaces.as_ref()?;
+    let takes_nothing = |material: &Material| {
+        !material.unlit && material.base_color.truncate().max_element() * (1.0 - material.metallic) > 0.9999
+    };
+    scene.meshes.iter().find(|mesh| takes_nothing(&scene.materials[mesh.material as usize]))?;
+    let mut whole = 0.0;
+    let area = |triangle: u32| {
+        let [a, b, c] = surfaces.corners(triangle);
+        whole += f64::from((*b - *a).cross(*c - *a).length());
+        whole
+    };
+    let cumulative: Vec<f64> = (0..surfaces.len() as u32).map(area).collect();
+    let mut context = PathContext::new(Stream::new(Sampler::Sobol, 0, streams::ENDLESS, 0));
+    let mut count = 0;
+    let mut names = BTreeSet::new();
+    for walk in 0..WALKS {
+        context.sample = walk;
+        let ([a, b], [c, _]) = (context.point(0), context.point(1));
+        let triangle = cumulative.partition_point(|sum| *sum <= f64::from(a) * whole).min(surfaces.len() - 1);
+        let place = Vec2::new(1.0 - b.sqrt(), c * b.sqrt());
+        if let Some(materials) = path.endless_walk(surfaces.point(triangle as u32, place, false), &mut context) {
+            count += 1;
+            names.extend(materials.iter().map(|material| scene.materials[*material as usize].name.as_str()));
+        }
+    }
+    (count > 0).then(|| {
+        let names: Vec<String> = names.into_iter().take(3).map(|name| format!("\"{name}\"")).collect();
+        let message = format!(
+            "of {WALKS} walks through the level, {count} kept {} % of their light over {REFLECTIONS} reflections: surfaces of \
+             albedo 1 all around take none, so the sum of the light there has no end, and what is baked is noise (materials {}); \
+             give them a base colour under 1: white paint has 0.8",
+            KEPT * 100.0,
+            names.join(", ")
+        );
+        Finding::new("light-without-end", count, message)
     })
 }
 

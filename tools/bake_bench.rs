@@ -35,8 +35,9 @@ fn main() {
     let distant = arguments.get(3).map(|path| read_distant(Path::new(path)));
     let (min, max) = scene.bounds(|_| true).expect("a level with triangles");
     let path = PathTracer::new(&scene, distant.as_ref(), PathSettings::default());
-    let places = place_probes(&path, (min, max), &[], &PlaceSettings { most: PROBES, gain: 0.0 }).positions();
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let most = PlaceSettings { most: PROBES, gain: 0.0 };
+    let places = place_probes(&path, (min, max), &[], &most, &control).expect("nobody interrupts").positions();
     let settings = CaptureSettings { width: WIDTH, samples: 128, emission: false, ..CaptureSettings::default() };
     let probe = |(i, &position): (usize, &DVec3)| {
         let mut image = capture(&path, position, i as u64, &settings, &control).expect("nobody interrupts").image;

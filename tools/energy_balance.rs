@@ -25,7 +25,7 @@ fn main() {
         let scene = read_level(path, &options).unwrap_or_else(|e| panic!("{e}"));
         let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
         // Bounces enough that what is cut off does not count, even between white walls.
-        let settings = PathSettings { bounces: 1024, ..PathSettings::default() };
+        let settings = PathSettings::default();
         let balance =
             energy_balance(&scene, settings, places.unwrap_or(1 << 22), &control).expect("nobody interrupts a tool");
         let percent = |part: glam::DVec3| 100.0 * part.element_sum() / balance.emitted.element_sum();

@@ -732,7 +732,7 @@ fn third_bounce(table: &mut Table) {
         let path = Path::new(&scene, None, PathSettings { bounces, ..PathSettings::default() });
         strength(&sh_of(&bake_points(&path, &points[..1], &BakeSettings { samples: 1 << 14, ..SMALL }), 0))
     };
-    let share = light(2) / light(PathSettings::default().bounces);
+    let share = light(Some(2)) / light(None);
     let path = Path::new(&scene, None, PathSettings::default());
     let settings = CaptureSettings { width: 64, samples: 256, ..CaptureSettings::default() };
     let probes = [captured(&path, DVec3::new(7.4, 1.5, 1.2), &settings)];
@@ -999,7 +999,7 @@ fn harmonics(table: &mut Table) {
             };
             let scene = Scene { lights: vec![sun(toward, 20.0), sun(-toward, 20.0 * opposite)], ..Scene::default() };
             let sky = distant(panorama(4, |_| [0.01, 0.02, 0.03]));
-            let path = Path::new(&scene, Some(&sky), PathSettings { bounces: 0, ..PathSettings::default() });
+            let path = Path::new(&scene, Some(&sky), PathSettings { bounces: Some(0), ..PathSettings::default() });
             for bands in 0..=4 {
                 let baked = bake_points(&path, &points, &BakeSettings { bands, samples: 64, punctual: true, ..SMALL });
                 let mut expected = RadianceSh::zero(bands);

@@ -53,7 +53,8 @@ fn main() {
     let bounds = bounds.or(scene.bounds(|_| true)).expect("a level with triangles");
 
     let started = Instant::now();
-    let placement = place_probes(&path, bounds, &[], &settings);
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let placement = place_probes(&path, bounds, &[], &settings, &control).expect("nobody interrupts a tool");
     println!(
         "{}: {} probes suggested in {:.1} s, from {} free places, in a box {:.1} to {:.1}",
         level.rsplit('/').next().unwrap_or(&level),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use gdibl_baker::capture::{CaptureSettings, Captured, PlaceSettings, Placement, capture, place_probes};
+use gdibl_baker::capture::{CaptureSettings, Captured, FREE_PLACES, PlaceSettings, Placement, capture, place_probes};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
 use gdibl_baker::import::sky::SkySource;
@@ -43,9 +43,16 @@ pub struct CapturedProbe {
 const AUTO_WIDTH: usize = 128;
 
 /// The places that were asked for, by files in `folder`.
-pub fn places(scene: &Scene, paths: &Paths, asked: &CapturePlan, folder: &Path) -> Vec<Place> {
+pub fn places(
+    scene: &Scene,
+    paths: &Paths,
+    asked: &CapturePlan,
+    folder: &Path,
+    cancel: &AtomicBool,
+    quiet: bool,
+) -> Result<Vec<Place>, Fault> {
     let positions: Vec<DVec3> = if asked.positions.is_empty() {
-        let placement = automatic_placement(scene, paths, asked);
+        let placement = automatic_placement(scene, paths, asked, cancel, quiet)?;
         if let Some(last) = placement.suggestions.last() {
             let share = last.after.coverage * 100.0;
             let count = placement.suggestions.len();
@@ -57,14 +64,37 @@ pub fn places(scene: &Scene, paths: &Paths, asked: &CapturePlan, folder: &Path) 
     };
     let digits = positions.len().saturating_sub(1).to_string().len();
     let file = |i: usize| folder.join(format!("probe_{i:0digits$}.exr"));
-    positions.into_iter().enumerate().map(|(i, position)| Place { position, file: file(i) }).collect()
+    Ok(positions.into_iter().enumerate().map(|(i, position)| Place { position, file: file(i) }).collect())
 }
 
 /// Where --auto places probes.
-pub fn automatic_placement(scene: &Scene, paths: &Paths, asked: &CapturePlan) -> Placement {
+pub fn automatic_placement(
+    scene: &Scene,
+    paths: &Paths,
+    asked: &CapturePlan,
+    cancel: &AtomicBool,
+    quiet: bool,
+) -> Result<Placement, Fault> {
     let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
     let settings = PlaceSettings { most: asked.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
-    bounds.map(|bounds| place_probes(paths, bounds, &[], &settings)).unwrap_or_default()
+    let Some(bounds) = bounds else { return Ok(Placement::default()) };
+    place(paths, bounds, &[], &settings, cancel, quiet)
+}
+
+/// Places probes, with progress, until interrupted.
+pub fn place(
+    paths: &Paths,
+    bounds: (DVec3, DVec3),
+    existing: &[DVec3],
+    settings: &PlaceSettings,
+    cancel: &AtomicBool,
+    quiet: bool,
+) -> Result<Placement, Fault> {
+    let progress = Progress::new("places", FREE_PLACES as u64, quiet);
+    let control = Control { cancel, progress: &|places, rays| progress.advance(places, rays) };
+    let placement = place_probes(paths, bounds, existing, settings, &control).map_err(|_| Fault::Interrupted)?;
+    progress.finish();
+    Ok(placement)
 }
 
 /// Captures and writes every place.
@@ -164,7 +194,14 @@ fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<Aut
     std::fs::create_dir_all(&parent).map_err(writing)?;
     // Filled beside, then renamed: a folder that is there is whole.
     let filling = tempfile::Builder::new().prefix(".filling-").tempdir_in(&parent).map_err(writing)?;
-    let places = places(&inputs.scene, &paths, &config.settings.capture, filling.path());
+    let places = match places(&inputs.scene, &paths, &config.settings.capture, filling.path(), cancel, quiet) {
+        Ok(places) => places,
+        Err(fault) => {
+            drop(filling);
+            let _ = std::fs::remove_dir(&parent); // if it holds nothing else
+            return Err(fault);
+        }
+    };
     if places.is_empty() {
         drop(filling);
         let _ = std::fs::remove_dir(&parent); // if it holds nothing else

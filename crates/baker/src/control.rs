@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Control<'a> {
     /// Set it to stop: the work returns [`Interrupted`] within a few rays.
     pub cancel: &'a AtomicBool,
-    /// Called from worker threads with (nodes or pixels finished, rays traced) since the last call.
+    /// Called from worker threads with (nodes, pixels or places finished, rays traced) since the last call.
     pub progress: &'a (dyn Fn(u64, u64) + Sync),
 }
 
@@ -14,6 +14,11 @@ impl Control<'_> {
     /// The caller wants to stop.
     pub fn cancelled(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
+    }
+
+    /// For `?`: an error where the caller wants to stop.
+    pub(crate) fn go_on(&self) -> Result<(), Interrupted> {
+        if self.cancelled() { Err(Interrupted) } else { Ok(()) }
     }
 }
 

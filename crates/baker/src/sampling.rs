@@ -40,9 +40,10 @@ impl Stream {
     pub fn point(&self, sample: u32, pair: u32) -> [f32; 2] {
         match self.sampler {
             Sampler::Sobol => {
-                // Two dimensions per scramble: each pair is well distributed by itself, and pairs are independent.
+                // Two dimensions per scramble: each pair is well distributed by itself, and pairs are independent. Those
+                // from 2^16 on, of walks of that length, are another stream's.
                 let scramble =
-                    mix(u64::from(self.scramble) << 32 | u64::from(pair) << 16 | u64::from(sample / SEQUENCE));
+                    mix(u64::from(self.scramble) << 32 ^ u64::from(pair) << 16 | u64::from(sample / SEQUENCE));
                 let index = sample % SEQUENCE;
                 // Four dimensions take less time than one alone.
                 let [x, y, ..] = sobol_burley::sample_4d(index, 0, scramble as u32);
@@ -57,7 +58,7 @@ impl Stream {
 
     /// An independent random number in 0..1 of its own, whatever the sampler.
     pub fn random(&self, sample: u32, pair: u32) -> f32 {
-        // Beside the pairs, of which there are at most 2^16.
+        // Beside the pairs, of which there are fewer.
         (self.bits(sample, pair | 1 << 31) >> 40) as f32 / (1 << 24) as f32
     }
 
@@ -71,6 +72,8 @@ impl Stream {
 pub(crate) mod streams {
     /// Texels of what scene geometry does to the environment.
     pub const TEXELS: u64 = 1 << 63;
+    /// The same, for those who stand near.
+    pub const NEAR_TEXELS: u64 = 3 << 62;
     /// Pixels of captured probes.
     pub const PROBES: u64 = 1 << 62;
     /// Places where a probe could stand.
@@ -83,6 +86,10 @@ pub(crate) mod streams {
     pub const ENERGY: u64 = 1 << 59;
     /// Places on surfaces that are asked whether a probe sees them.
     pub const COVERAGE: u64 = 1 << 58;
+    /// Rays that tell whether chance finds what glows.
+    pub const GLOW: u64 = 1 << 57;
+    /// Walks that tell whether any surface takes light.
+    pub const ENDLESS: u64 = 1 << 56;
 }
 
 /// SplitMix64's finaliser (Steele, Lea, Flood, 2014): every input bit moves every output bit.

@@ -1,12 +1,13 @@
 //! `gdibl capture`: light probes from the level itself.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::job::Inputs;
 use gdibl_baker::panorama::Mapping;
-use gdibl_baker::radiance::path::Path as Paths;
+use gdibl_baker::radiance::path::{Path as Paths, light_without_end};
 use glam::DVec3;
 use serde::Serialize;
 
@@ -83,12 +84,20 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     }
     let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), config.settings.capture_path());
     let folder = arguments.output.clone();
-    let places = choose_places(&inputs, &paths, &config, folder.as_deref(), &arguments.input)?;
+    let places = choose_places(
+        &inputs,
+        &paths,
+        &config,
+        folder.as_deref(),
+        &arguments.input,
+        (&session.cancel, arguments.quiet),
+    )?;
     for folder in places.iter().filter_map(|place| place.file.parent()) {
         std::fs::create_dir_all(folder).map_err(|error| Fault::writing(folder, &error))?;
     }
     let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &session.cancel, arguments.quiet)?;
 
+    session.find(light_without_end(&inputs.scene, &paths).as_slice());
     outcomes.iter().for_each(|outcome| session.find(&outcome.findings));
     let report = Report {
         probes: outcomes.iter().map(|outcome| probe_report(outcome, settings.width)).collect(),
@@ -111,11 +120,12 @@ fn choose_places(
     config: &Config,
     folder: Option<&Path>,
     input: &Path,
+    (cancel, quiet): (&AtomicBool, bool),
 ) -> Result<Vec<Place>, Fault> {
     let default_folder = input.with_extension("probes");
     let asked = &config.settings.capture;
     if !asked.positions.is_empty() || asked.auto {
-        let places = places(&inputs.scene, paths, asked, folder.unwrap_or(&default_folder));
+        let places = places(&inputs.scene, paths, asked, folder.unwrap_or(&default_folder), cancel, quiet)?;
         if places.is_empty() {
             return Err(Fault::Bound(format!(
                 "{}: --auto found no place for a probe: every place tried stands in a solid or sees nothing; give \

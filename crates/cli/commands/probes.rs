@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use gdibl_baker::Control;
 use gdibl_baker::analyse::{Coverage, CoveragePaint, CoverageView, Covered, Viewpoint, coverage};
-use gdibl_baker::capture::{PlaceSettings, Placement, place_probes};
+use gdibl_baker::capture::{PlaceSettings, Placement};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::write_png;
 use gdibl_baker::job::Inputs;
@@ -16,6 +16,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::render::{CameraFlags, camera_of, parse_size};
+use crate::captures::place;
 use crate::config::{Config, FileFlags, LightFlags, set_threads};
 use crate::fault::Fault;
 use crate::flags::{Given, OfReading, SettingFlags};
@@ -266,7 +267,7 @@ fn run_suggest(arguments: &SuggestArguments, session: &Session) -> Result<Outcom
     let settings = PlaceSettings { most, gain: arguments.gain.unwrap_or(defaults.gain) };
     let paths = Paths::new(&level.inputs.scene, level.inputs.distant.as_ref(), level.config.settings.capture_path());
     let existing: Vec<DVec3> = level.inputs.probes.iter().map(|probe| probe.position).collect();
-    let placement = place_probes(&paths, level.bounds, &existing, &settings);
+    let placement = place(&paths, level.bounds, &existing, &settings, &session.cancel, false)?;
     if placement.places == 0 {
         return Err(level.nothing_free());
     }

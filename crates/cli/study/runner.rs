@@ -129,7 +129,7 @@ impl Runner<'_> {
         let paths = Path::new(scene, distant.as_ref(), self.job.settings.capture_path());
         let placed = *captured && asked.positions.is_empty();
         if placed {
-            captures::automatic_placement(scene, &paths, asked);
+            captures::automatic_placement(scene, &paths, asked, self.cancel, true)?;
         }
         cpu_seconds += clock.cpu_seconds();
         wall_seconds += clock.wall_seconds();

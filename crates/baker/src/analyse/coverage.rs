@@ -15,7 +15,9 @@ use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::f32::consts::PI;
+use std::sync::atomic::AtomicBool;
 
+use crate::Control;
 use crate::capture::free_space::{FreeSpace, Looker, Sight};
 use crate::radiance::path::Path;
 use crate::radiance::{Guide, PathContext, Radiance, RadianceFunction};
@@ -171,8 +173,9 @@ fn degrees(pixels: f32) -> f32 {
 /// What the probes have seen of the level in `bounds` (world metres). `distant_pixels`: of the distant panorama.
 pub fn coverage(view: &CoverageView, bounds: (DVec3, DVec3), distant_pixels: Option<usize>) -> Coverage {
     let looker = Looker::new(view.path);
-    let space = FreeSpace::find(&looker, bounds);
-    let sights = space.sights(view.path, DIRECTIONS);
+    let uninterrupted = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let space = FreeSpace::find(&looker, bounds, &uninterrupted).expect("nobody interrupts");
+    let sights = space.sights(view.path, DIRECTIONS, &uninterrupted).expect("nobody interrupts");
     let sphere = 4.0 * std::f64::consts::PI / sights.len().max(1) as f64;
     let surfaces: Vec<Option<f32>> =
         sights.par_iter().filter_map(|sight| sight.hit).map(|hit| view.pixel_size(&hit)).collect();

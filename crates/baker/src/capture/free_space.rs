@@ -8,9 +8,11 @@ use crate::radiance::path::Path;
 use crate::radiance::{PathContext, RadianceFunction, SOLID_BACKS};
 use crate::sampling::{Sampler, Stream, fibonacci_sphere, streams, uniform_sphere};
 use crate::trace::Hit;
+use crate::{Control, Interrupted};
 
-/// Places wanted, about, and tried for them at most: of a level with much rock few are free.
-const PLACES: usize = 2000;
+/// Places wanted, about.
+pub const FREE_PLACES: usize = 2000;
+/// Places tried for them at most: of a level with much rock few are free.
 const MOST_TRIED: usize = 32_000;
 /// Directions in which a place looks around to know whether it is free.
 const LOOKS: usize = 64;
@@ -45,38 +47,42 @@ pub fn are_free(path: &Path, positions: &[DVec3]) -> Vec<bool> {
 
 impl FreeSpace {
     /// The free places of a box, world metres.
-    pub fn find(looker: &Looker, bounds: (DVec3, DVec3)) -> FreeSpace {
+    pub fn find(looker: &Looker, bounds: (DVec3, DVec3), control: &Control) -> Result<FreeSpace, Interrupted> {
         let frame = looker.path.frame();
-        let mut tried = PLACES;
+        let mut tried = FREE_PLACES;
         loop {
             let (places, spacing) = strata(bounds, tried);
             let spacing = (spacing * frame.scale) as f32;
             let is_free = |(index, place): (usize, &DVec3)| {
                 let place = frame.to_trace(*place);
-                looker.is_free(place, index as u64).then_some(place)
+                let is_free = control.go_on().map(|()| looker.is_free(place, index as u64));
+                (control.progress)(0, LOOKS as u64);
+                is_free.map(|is_free| is_free.then_some(place)).transpose()
             };
-            let places: Vec<Vec3> = places.par_iter().enumerate().filter_map(is_free).collect();
-            if places.len() >= PLACES / 2 || tried >= MOST_TRIED {
-                return FreeSpace { places, spacing };
+            let places: Vec<Vec3> = places.par_iter().enumerate().filter_map(is_free).collect::<Result<_, _>>()?;
+            if places.len() >= FREE_PLACES / 2 || tried >= MOST_TRIED {
+                return Ok(FreeSpace { places, spacing });
             }
             // Of rock all through, a sixteenth at least.
-            tried = (tried * PLACES / places.len().max(PLACES / 16)).min(MOST_TRIED);
+            tried = (tried * FREE_PLACES / places.len().max(FREE_PLACES / 16)).min(MOST_TRIED);
         }
     }
 
     /// What the places see, in so many directions each, by place.
-    pub fn sights(&self, path: &Path, directions: u32) -> Vec<Sight> {
+    pub fn sights(&self, path: &Path, directions: u32, control: &Control) -> Result<Vec<Sight>, Interrupted> {
         let look = |(index, place): (usize, &Vec3)| {
+            control.go_on()?;
             let stream = Stream::new(Sampler::Sobol, 0, streams::CANDIDATES | index as u64, 1);
-            (0..directions)
-                .map(|sample| {
-                    let direction = uniform_sphere(stream.point(sample, 0));
-                    Sight { direction, hit: path.surface(*place, direction) }
-                })
-                .collect::<Vec<_>>()
+            let sight = |sample| {
+                let direction = uniform_sphere(stream.point(sample, 0));
+                Sight { direction, hit: path.surface(*place, direction) }
+            };
+            let sights: Vec<Sight> = (0..directions).map(sight).collect();
+            (control.progress)(0, u64::from(directions));
+            Ok(sights)
         };
-        let sights: Vec<Vec<Sight>> = self.places.par_iter().enumerate().map(look).collect();
-        sights.into_iter().flatten().collect()
+        let sights: Vec<Vec<Sight>> = self.places.par_iter().enumerate().map(look).collect::<Result<_, _>>()?;
+        Ok(sights.into_iter().flatten().collect())
     }
 }
 

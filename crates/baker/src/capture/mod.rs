@@ -17,7 +17,7 @@ use crate::sampling::{Sampler, Stream, streams};
 use crate::trace::Hit;
 use crate::{Control, Interrupted};
 pub use free_space::are_free;
-pub use place::{PlaceSettings, Placement, Reach, Suggestion, place_probes};
+pub use place::{FREE_PLACES, PlaceSettings, Placement, Reach, Suggestion, place_probes};
 
 /// How probes are captured.
 #[derive(Debug, Clone, Copy, PartialEq)]

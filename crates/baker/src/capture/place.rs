@@ -17,10 +17,12 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
+pub use super::free_space::FREE_PLACES;
 use super::free_space::{FreeSpace, Looker};
 use crate::radiance::RadianceFunction;
 use crate::radiance::path::Path;
 use crate::trace::Hit;
+use crate::{Control, Interrupted};
 
 /// How probes are placed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,34 +90,46 @@ const ROUNDS: usize = 3;
 const WORTH_MOVING: f64 = 1e-4;
 
 /// Suggests probes beside those at `existing` (world metres), for what `path` traces in the box (world metres). All probes are
-/// taken to have as many pixels.
-pub fn place_probes(path: &Path, bounds: (DVec3, DVec3), existing: &[DVec3], settings: &PlaceSettings) -> Placement {
+/// taken to have as many pixels. Tells its progress in free places, of which there are about [`FREE_PLACES`].
+pub fn place_probes(
+    path: &Path,
+    bounds: (DVec3, DVec3),
+    existing: &[DVec3],
+    settings: &PlaceSettings,
+    control: &Control,
+) -> Result<Placement, Interrupted> {
     let looker = Looker::new(path);
-    let space = FreeSpace::find(&looker, bounds);
-    let Some(view) = View::of(&space, &looker, bounds) else {
-        return Placement { places: space.places.len(), ..Placement::default() };
+    let space = FreeSpace::find(&looker, bounds, control)?;
+    let Some(view) = View::of(&space, &looker, bounds, control)? else {
+        return Ok(Placement { places: space.places.len(), ..Placement::default() });
     };
     let mut given = vec![0.0; view.points.len()];
     for position in existing {
         join(&mut given, &view.qualities(path.frame().to_trace(*position)));
     }
-    let candidates: Vec<Chosen> = space.places.par_iter().map(|place| view.stand(*place)).collect();
+    let candidate = |place: &Vec3| {
+        control.go_on()?;
+        let candidate = view.stand(*place);
+        (control.progress)(1, view.points.len() as u64);
+        Ok(candidate)
+    };
+    let candidates: Vec<Chosen> = space.places.par_iter().map(candidate).collect::<Result<_, _>>()?;
     let mut chosen = Vec::new();
-    view.add(&mut chosen, &candidates, &given, settings);
+    view.add(&mut chosen, &candidates, &given, settings, control)?;
     for _ in 0..ROUNDS {
         let (count, before) = (chosen.len(), view.worth(&chosen, &given));
-        view.exchange(&mut chosen, &candidates, &given);
-        view.drop_superfluous(&mut chosen, &given, settings);
-        view.add(&mut chosen, &candidates, &given, settings);
+        view.exchange(&mut chosen, &candidates, &given, control)?;
+        view.drop_superfluous(&mut chosen, &given, settings, control)?;
+        view.add(&mut chosen, &candidates, &given, settings, control)?;
         if chosen.len() == count && view.worth(&chosen, &given) < before + WORTH_MOVING {
             break;
         }
     }
-    Placement {
+    Ok(Placement {
         places: space.places.len(),
         before: view.reach(&given),
         suggestions: view.in_order(chosen, given, path),
-    }
+    })
 }
 
 /// A place with how well a probe there resolves each point, 0..=1.
@@ -142,12 +156,17 @@ struct View<'a> {
 
 impl<'a> View<'a> {
     /// `None` where there is no surface to see.
-    fn of(space: &FreeSpace, looker: &'a Looker<'a>, (min, max): (DVec3, DVec3)) -> Option<View<'a>> {
+    fn of(
+        space: &FreeSpace,
+        looker: &'a Looker<'a>,
+        (min, max): (DVec3, DVec3),
+        control: &Control,
+    ) -> Result<Option<View<'a>>, Interrupted> {
         let each = SIGHTS.div_ceil(space.places.len().max(1)) as u32;
-        let sights = space.sights(looker.path, each);
+        let sights = space.sights(looker.path, each, control)?;
         let points: Vec<Hit> = sights.iter().filter_map(|sight| sight.hit).collect();
         if points.is_empty() {
-            return None;
+            return Ok(None);
         }
         // As near as the free space itself is to what it sees, in the median.
         let mut distances: Vec<f32> = points.iter().map(|point| point.t).collect();
@@ -155,7 +174,7 @@ impl<'a> View<'a> {
         let enough = *distances.select_nth_unstable_by(middle, f32::total_cmp).1;
         let frame = looker.path.frame();
         let bounds = (frame.to_trace(min), frame.to_trace(max));
-        Some(View { looker, bounds, spacing: space.spacing, points, directions: sights.len(), enough })
+        Ok(Some(View { looker, bounds, spacing: space.spacing, points, directions: sights.len(), enough }))
     }
 
     fn stand(&self, place: Vec3) -> Chosen {
@@ -192,21 +211,37 @@ impl<'a> View<'a> {
     }
 
     /// Greedily, as long as it pays.
-    fn add(&self, chosen: &mut Vec<Chosen>, candidates: &[Chosen], given: &[f32], settings: &PlaceSettings) {
+    fn add(
+        &self,
+        chosen: &mut Vec<Chosen>,
+        candidates: &[Chosen],
+        given: &[f32],
+        settings: &PlaceSettings,
+        control: &Control,
+    ) -> Result<(), Interrupted> {
         let mut best = best_of(chosen.iter(), given);
         while chosen.len() < settings.most
             && let Some((index, gain)) = self.most_useful(candidates, &best)
             && gain > 0.0
             && gain >= settings.gain
         {
+            control.go_on()?;
             join(&mut best, &candidates[index].qualities);
             chosen.push(candidates[index].clone());
         }
+        Ok(())
     }
 
     /// Each probe goes to where it adds most beside the others.
-    fn exchange(&self, chosen: &mut [Chosen], candidates: &[Chosen], given: &[f32]) {
+    fn exchange(
+        &self,
+        chosen: &mut [Chosen],
+        candidates: &[Chosen],
+        given: &[f32],
+        control: &Control,
+    ) -> Result<(), Interrupted> {
         for index in 0..chosen.len() {
+            control.go_on()?;
             let others = best_of(chosen.iter().enumerate().filter(|(i, _)| *i != index).map(|(_, c)| c), given);
             let mut own = chosen[index].clone();
             let mut gain = self.gain(&own.qualities, &others);
@@ -223,6 +258,7 @@ impl<'a> View<'a> {
                     .filter(|place| self.is_inside(**place) && self.looker.is_free(**place, 0))
                     .map(|place| self.stand(*place))
                     .collect();
+                (control.progress)(0, (near.len() * self.points.len()) as u64);
                 if let Some((better, more)) = self.most_useful(&near, &others)
                     && more > gain + WORTH_MOVING
                 {
@@ -231,6 +267,7 @@ impl<'a> View<'a> {
             }
             chosen[index] = own;
         }
+        Ok(())
     }
 
     fn is_inside(&self, place: Vec3) -> bool {
@@ -238,7 +275,13 @@ impl<'a> View<'a> {
     }
 
     /// The least useful first, those go without which too little is lost.
-    fn drop_superfluous(&self, chosen: &mut Vec<Chosen>, given: &[f32], settings: &PlaceSettings) {
+    fn drop_superfluous(
+        &self,
+        chosen: &mut Vec<Chosen>,
+        given: &[f32],
+        settings: &PlaceSettings,
+        control: &Control,
+    ) -> Result<(), Interrupted> {
         let loss = |chosen: &[Chosen], index: usize| {
             let others = best_of(chosen.iter().enumerate().filter(|(i, _)| *i != index).map(|(_, c)| c), given);
             self.gain(&chosen[index].qualities, &others)
@@ -247,8 +290,10 @@ impl<'a> View<'a> {
             (0..chosen.len()).map(|i| (i, loss(chosen, i))).min_by(|a, b| a.1.total_cmp(&b.1))
             && least < settings.gain
         {
+            control.go_on()?;
             chosen.remove(index);
         }
+        Ok(())
     }
 
     /// F.

@@ -145,7 +145,10 @@ pub fn plan_path(scene: &Scene, path: &Path) -> Vec<PlanRow> {
         },
         match triangles {
             0 => PlanRow::new("bounces", false, "no triangle to bounce from"),
-            n => PlanRow::new("bounces", true, format!("{n} triangles reflect, up to {} in a row", path.bounces())),
+            n => match path.bounces() {
+                None => PlanRow::new("bounces", true, format!("{n} triangles reflect; walks end by chance alone")),
+                Some(most) => PlanRow::new("bounces", true, format!("{n} triangles reflect, up to {most} in a row")),
+            },
         },
         match path.guide().to_sky() {
             true => PlanRow::new("distant", true, "every surface asks the distant panorama"),

@@ -193,8 +193,7 @@ settings! {
         "NAME" method: Method = Method::Auto;
         /// Surfaces that light may leave on its way to a node, by path tracing: 1 is direct light [default: unlimited,
         /// with roulette]
-        "N" bounces: u32 = PathSettings::default().bounces,
-            |bounces| *bounces <= PathSettings::MAX_BOUNCES => "at most 4096";
+        "N" bounces: Option<u32> = None;
         /// Direct light of point, spot and directional lights: include, or exclude for the engine to add it, moving and
         /// sharp; their bounced light is there in any case [default: exclude]
         "WHAT" punctual: Punctual = Punctual::Exclude;
@@ -438,7 +437,7 @@ mod tests {
     fn help_names_the_default() {
         // A row whose default is not a plain word says in words what happens without it.
         for (row, text) in ROWS.iter().zip(Settings::default().texts()) {
-            let default = text.filter(|_| !row.is_switch && row.name != "bounces");
+            let default = text.filter(|_| !row.is_switch);
             if let Some(default) = default {
                 assert!(row.about.contains(&format!("[default: {default}")), "{}: {default}", row.full_name());
             }

@@ -1,9 +1,10 @@
 //! What scene geometry does to the light of the environment, remembered per texel of surface.
 //!
-//! The effect of a surface point does not depend on who looks, so it is found once: with a walk per query ray the median
-//! node of the box with three spheres was 4 % off at 4096 directions, with texels 2.8 % (the README's first command). A texel belongs to one side of
-//! one triangle and is filled when first asked for, from random numbers of its own: the result does not depend on
-//! who asks first.
+//! The effect of a surface point does not depend on who looks, so it is found once. A texel belongs to one side of one
+//! triangle and is filled when first asked for, from random numbers of its own: the result does not depend on who asks
+//! first. Who looks from afar sees many texels, whose noise averages out: each takes a few walks. Who stands so near that a
+//! texel fills much of the view asks for the same one again and again: that one is filled a second time, by more walks, and
+//! those read the few of the others.
 
 use glam::{Vec2, Vec3};
 use std::sync::OnceLock;
@@ -17,15 +18,29 @@ const TEXEL: f32 = 1.0 / 32.0;
 pub const PARTS: u32 = 4;
 /// Most subdivisions of a triangle's edge.
 const MOST_CUTS: u32 = 64;
+/// Who stands nearer to a place than this many sizes of its texel is near.
+const NEAR: f32 = 1.0;
+/// Walks of a near texel, and of a far one of full size, as shares of [`GdiblSettings::walks`](super::gdibl::GdiblSettings).
+const NEAR_WALKS: f32 = 2.0;
+const FAR_WALKS: f32 = 1.0;
 
-/// Texels of one side of a triangle, made when it is first hit, each filled when it is first hit.
-type Side = OnceLock<Box<[OnceLock<[Vec3; PARTS as usize]>]>>;
+/// One value for each part.
+pub type Parts = [Vec3; PARTS as usize];
+
+/// Texels of one side of a triangle, made when it is first hit.
+type Side = OnceLock<Box<[Slot]>>;
+
+/// A texel, filled for either purpose when first asked for it.
+#[derive(Debug, Default)]
+struct Slot {
+    far: OnceLock<Parts>,
+    near: OnceLock<Box<Parts>>,
+}
 
 /// Effects per side of every environment triangle.
 #[derive(Debug)]
 pub struct EffectCache {
     edge: f32,
-    /// Of a texel of full size; smaller ones have fewer, by area, because more of them share in a node's light.
     walks: u32,
     sides: Vec<[Side; 2]>,
 }
@@ -37,11 +52,13 @@ pub struct Texel {
     pub index: u32,
     /// Random walks of each of its [`PARTS`].
     pub walks: u32,
+    /// For those who stand near.
+    pub is_near: bool,
     cuts: u32,
 }
 
 impl EffectCache {
-    /// Empty texels for all triangles of `environment`; one of full size will take `walks` random walks.
+    /// Empty texels for all triangles of `environment`.
     pub fn new(environment: &Surfaces, walks: u32) -> EffectCache {
         let all = || (0..environment.len() as u32).flat_map(|t| environment.corners(t));
         let (min, max) = all().fold((Vec3::MAX, Vec3::MIN), |(min, max), c| (min.min(*c), max.max(*c)));
@@ -49,31 +66,42 @@ impl EffectCache {
         EffectCache { edge: (max - min).max_element() * TEXEL, walks, sides }
     }
 
-    /// The effect at `hit`, by the walks for one replicate or, with `None`, by all; `fill` is called for the first query of
-    /// each texel.
+    /// The effect at `hit`, by the walks for one replicate or, with `None`, by all. `distance`: of who looks, infinite
+    /// where that does not count. `fill` is called for the first query of each texel.
     pub fn lookup(
         &self,
         environment: &Surfaces,
         hit: &Hit,
+        distance: f32,
         replicate: Option<u32>,
-        fill: impl FnOnce(Texel) -> [Vec3; PARTS as usize],
+        fill: impl FnOnce(Texel) -> Parts,
     ) -> Vec3 {
         let [a, b, c] = *environment.corners(hit.triangle);
         let longest = (b - a).length().max((c - b).length()).max((a - c).length());
         let cuts = ((longest / self.edge).ceil() as u32).clamp(1, MOST_CUTS);
         let side = &self.sides[hit.triangle as usize][usize::from(hit.back)];
-        let texels = side.get_or_init(|| (0..2 * cuts * cuts).map(|_| OnceLock::new()).collect());
+        let texels = side.get_or_init(|| (0..2 * cuts * cuts).map(|_| Slot::default()).collect());
         let index = texel_at(hit.barycentric, cuts);
-        let parts = texels[index as usize].get_or_init(|| {
-            let area = 0.5 * (b - a).cross(c - a).length() / (cuts * cuts) as f32;
-            let walks = (self.walks as f32 * area / (0.5 * self.edge * self.edge)) as u32;
-            fill(Texel { index, walks: (walks.min(self.walks) / PARTS).max(1), cuts })
-        });
+        let slot = &texels[index as usize];
+        // Of twice the area: that of a square.
+        let square = (b - a).cross(c - a).length() / (cuts * cuts) as f32;
+        let parts = if distance * distance < NEAR.powi(2) * square {
+            let walks = (self.walks as f32 * NEAR_WALKS) as u32;
+            slot.near.get_or_init(|| Box::new(fill(Texel { index, walks: per_part(walks), is_near: true, cuts })))
+        } else {
+            // Smaller ones have fewer, by area, because more of them share in a node's light.
+            let walks = self.walks as f32 * FAR_WALKS * (square / (self.edge * self.edge)).min(1.0);
+            slot.far.get_or_init(|| fill(Texel { index, walks: per_part(walks as u32), is_near: false, cuts }))
+        };
         match replicate {
             Some(replicate) => parts[(replicate % PARTS) as usize],
             None => parts.iter().sum::<Vec3>() / PARTS as f32,
         }
     }
+}
+
+fn per_part(walks: u32) -> u32 {
+    (walks / PARTS).max(1)
 }
 
 /// The triangle is cut into `cuts`² like ones. In column i of row j the texel that stands like the triangle has
@@ -124,7 +152,7 @@ mod tests {
                 let (v, w) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
                 let index = texel_at(Vec2::new(v, w), cuts);
                 seen.insert(index);
-                let texel = Texel { index, walks: 1, cuts };
+                let texel = Texel { index, walks: 1, is_near: false, cuts };
                 let place = texel.place(stream.point(sample, 1));
                 assert!(place.x >= 0.0 && place.y >= 0.0 && place.x + place.y <= 1.0 + 1e-5, "{place}");
                 // Rounding may carry a place onto the border.

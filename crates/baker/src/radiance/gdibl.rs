@@ -10,12 +10,12 @@ use std::f32::consts::FRAC_1_PI;
 
 use super::blend::{BlendRule, View};
 use super::candidates::{Candidate, Lookers};
-use super::effects::{EffectCache, PARTS};
-use super::guide::{Distant, Guide, Regions, Sky, bright_regions, bright_triangles};
+use super::effects::{EffectCache, PARTS, Texel};
+use super::guide::{Distant, Emitter, Emitters, Guide, Receiver, Regions, Sky, bright_regions, bright_triangles};
 use super::probe::{PlacedProbe, Surroundings};
 use super::punctual::Punctual;
 use super::surface_light::SurfaceLight;
-use super::{PathContext, Radiance, RadianceFunction, Seen};
+use super::{MOST_SURVIVAL, PathContext, Radiance, RadianceFunction, Seen};
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Scattered, Surfaces, counts_before, search_limit};
@@ -73,7 +73,8 @@ pub struct GdiblSettings {
     /// The probes show reflected light alone (see [`crate::capture::CaptureSettings::emission`]): what environment
     /// surfaces send out themselves is taken from their materials, sharp and exact.
     pub emission_from_materials: bool,
-    /// Random walks that find what scene geometry does to the environment, per texel of a thirtieth of the level.
+    /// Random walks that find what scene geometry does to the environment, per texel of a thirtieth of the level; where a node
+    /// stands near, twice as many more.
     pub walks: u32,
     /// Of the random walks that find what scene geometry does to the environment; the bake's.
     pub seed: u64,
@@ -112,18 +113,43 @@ struct Walk {
     step: u32,
     /// Scene geometry hit so far, in a row.
     objects: u32,
-    /// It fills a texel of effects, and must not ask for texels: its own may be among them.
-    in_texel: bool,
+    /// Which texels of effects it may read.
+    texels: Texels,
 }
 
-/// No walk goes further: with white walls a 2^-32th of the light would be left.
-const MAX_STEPS: u32 = 32;
-/// Random numbers of the roulette come after those of the directions.
-const ROULETTE: u32 = 2 * MAX_STEPS;
-/// And those of next-event estimation after these.
-const NEXT_EVENT: u32 = 4 * MAX_STEPS;
-/// And those that choose a side of what lets light through diffusely.
-const SIDE: u32 = 6 * MAX_STEPS;
+/// Texels of effects that a walk may read.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+enum Texels {
+    /// Those of far places, and of near ones where it has just left its node.
+    #[default]
+    All,
+    /// Those of far places: it fills one of a near place.
+    Far,
+    /// None: it fills one of a far place, which may be among them.
+    None,
+}
+
+/// Pairs of random numbers of one continuation ray; those of the node or pixel come first.
+const PAIRS: u32 = 4;
+/// Which of them chooses the direction by cosine, ends the walk, chooses a direction toward what is bright, and one toward
+/// scene geometry.
+const BY_COSINE: u32 = 0;
+const ROULETTE: u32 = 1;
+const TO_BRIGHT: u32 = 2;
+const TO_OBJECTS: u32 = 3;
+/// Which random number of its own chooses a side of what lets light through diffusely.
+const SIDE: u32 = 0;
+/// Share of the rays from an object to a wall that look for other objects' effects there.
+const SECOND: f32 = 0.25;
+/// Triangles of scene geometry toward which directions are drawn, at most: they are kept a second time.
+const MOST_DRAWN: usize = 1 << 18;
+
+impl Walk {
+    /// Random numbers of the ray that the walk goes on with.
+    fn point(&self, which: u32, context: &PathContext) -> [f32; 2] {
+        context.point(PAIRS * self.step + which)
+    }
+}
 
 /// The function, ready to be called from any thread.
 #[derive(Debug)]
@@ -142,6 +168,8 @@ pub struct Gdibl<'a> {
     punctual: Punctual,
     settings: GdiblSettings,
     effects: Option<EffectCache>,
+    /// Scene geometry that rays go to from walls; `None` where there is none, or too much.
+    targets: Option<Emitters>,
     /// `None` where no ray will ask.
     surface_light: Option<SurfaceLight>,
 }
@@ -183,6 +211,8 @@ impl<'a> Gdibl<'a> {
             (Some(environment), Some(_), SceneHit::Recurse(_)) => Some(EffectCache::new(environment, settings.walks)),
             _ => None,
         };
+        let targets = objects.as_ref().filter(|objects| effects.is_some() && objects.len() <= MOST_DRAWN);
+        let targets = targets.and_then(|objects| Emitters::new(targets_of(scene, objects)));
         let surface_light = environment.as_ref().filter(|_| settings.directions > 0).map(|environment| {
             let lookers = Lookers { scene, environment, probes: &placed, blend: settings.blend };
             SurfaceLight::new(&lookers, &all, settings.directions)
@@ -215,6 +245,7 @@ impl<'a> Gdibl<'a> {
             punctual: Punctual::new(scene, &frame),
             settings,
             effects,
+            targets,
             surface_light,
         }
     }
@@ -327,7 +358,7 @@ impl<'a> Gdibl<'a> {
             return if inside { Radiance::UNCOVERED } else { Radiance::covered(Vec3::ZERO) };
         };
         let emission = objects.emission(self.scene, hit);
-        let chance = || context.stream.random(context.sample, SIDE + walk.step);
+        let chance = || context.stream.random(context.sample, PAIRS * walk.step + SIDE);
         let Scattered { hit, albedo } = objects.scatter(self.scene, hit, chance);
         let hit = &hit;
         if albedo == Vec3::ZERO {
@@ -341,7 +372,7 @@ impl<'a> Gdibl<'a> {
         let first = walk.objects == 0;
         let walk = Walk { step: walk.step + 1, objects: walk.objects + 1, ..walk };
         let start = objects.leave(hit);
-        let direction = cosine_hemisphere(hit.normal, context.stream.point(context.sample, walk.step));
+        let direction = cosine_hemisphere(hit.normal, walk.point(BY_COSINE, context));
         let arriving = self.radiance_along(start, direction, walk, context);
         let mut value = emission + albedo * arriving.value * self.cosine_weight(start, hit.normal, direction);
         // Once per ray: at every object the rays would double.
@@ -357,8 +388,7 @@ impl<'a> Gdibl<'a> {
     /// At 64 samples per pixel, pictures of the box with its spheres were off by 40 % by cosine alone, and by 9 % with this;
     /// irradiance on the spheres at 1024 directions by 7.1 % and 4.8 %, for a tenth more time (`tools/sphere_table`).
     fn toward_light(&self, start: Vec3, normal: Vec3, walk: Walk, context: &PathContext) -> Option<(Vec3, f32)> {
-        let point = context.stream.point(context.sample, NEXT_EVENT + walk.step);
-        let (direction, density) = self.guide.propose_bright(start, point)?;
+        let (direction, density) = self.guide.propose_bright(start, walk.point(TO_BRIGHT, context))?;
         let by_cosine = direction.dot(normal) * FRAC_1_PI;
         (by_cosine > 0.0).then(|| (direction, by_cosine / (by_cosine + density)))
     }
@@ -482,65 +512,106 @@ impl<'a> Gdibl<'a> {
     /// What scene geometry changes in the light of an environment point, from the texel it lies in.
     fn effect(&self, hit: &Hit, walk: Walk, context: &mut PathContext) -> Vec3 {
         let (Some(cache), Some(environment)) = (&self.effects, &self.environment) else { return Vec3::ZERO };
-        if walk.in_texel {
-            return self.effect_of_objects(hit, walk, context);
+        if walk.texels == Texels::None {
+            // What objects do to the light that falls on objects: few walks tell it well enough.
+            let chance = if walk.objects > 0 { SECOND } else { 1.0 };
+            return match walk.point(ROULETTE, context)[1] < chance {
+                true => self.effect_of_objects(hit, walk, context) / chance,
+                false => Vec3::ZERO,
+            };
         }
+        let distance = if walk.texels == Texels::All && walk.step == 0 { hit.t } else { f32::INFINITY };
         let mut rays = 0;
-        let effect = cache.lookup(environment, hit, context.replicate, |texel| {
-            // Walks from all over the texel: their means.
-            let node = streams::TEXELS | u64::from(hit.triangle) << 1 | u64::from(hit.back);
-            std::array::from_fn(|part| {
-                let stream = Stream::new(Sampler::Sobol, self.settings.seed, node, texel.index * PARTS + part as u32);
-                let mut own = PathContext::new(stream);
-                let mut sum = DVec3::ZERO;
-                for sample in 0..texel.walks {
-                    own.sample = sample;
-                    let start = environment.point(hit.triangle, texel.place(stream.point(sample, 0)), hit.back);
-                    let walk = Walk { in_texel: true, ..Walk::default() };
-                    sum += self.effect_of_objects(&start, walk, &mut own).as_dvec3();
-                }
-                rays += own.rays;
-                (sum / f64::from(texel.walks)).as_vec3()
-            })
-        });
+        let fill = |texel: Texel| std::array::from_fn(|part| self.mean_effect(hit, texel, part as u32, &mut rays));
+        let effect = cache.lookup(environment, hit, distance, context.replicate, fill);
         context.rays += rays;
         effect
     }
 
+    /// The mean effect of one part of a texel, around `hit`: of walks from all over it.
+    fn mean_effect(&self, hit: &Hit, texel: Texel, part: u32, rays: &mut u64) -> Vec3 {
+        let environment = self.environment.as_ref().expect("the environment was hit");
+        let texels = if texel.is_near { streams::NEAR_TEXELS } else { streams::TEXELS };
+        let node = texels | u64::from(hit.triangle) << 1 | u64::from(hit.back);
+        let stream = Stream::new(Sampler::Sobol, self.settings.seed, node, texel.index * PARTS + part);
+        let mut context = PathContext::new(stream);
+        // What a part reads of other texels is of the same part: the parts stay independent.
+        context.replicate = Some(part);
+        let texels = if texel.is_near { Texels::Far } else { Texels::None };
+        let walk = Walk { texels, ..Walk::default() };
+        let mut sum = DVec3::ZERO;
+        for sample in 0..texel.walks {
+            context.sample = sample;
+            let start = environment.point(hit.triangle, texel.place(context.point(0)), hit.back);
+            sum += self.effect_of_objects(&start, walk, &mut context).as_dvec3();
+        }
+        *rays += context.rays;
+        (sum / f64::from(texel.walks)).as_vec3()
+    }
+
     /// What scene geometry changes in the light of an environment point: its shadow and its reflection, which no
-    /// probe has seen. One ray of the walk that the light of that point came along:
+    /// probe has seen. A walk over environment surfaces, along which that light came:
     ///
     /// Δ(x) = albedo/π ∫ (L_with - L_without) cosθ dω, where only a ray that meets an object, here or bounces
     /// later, makes a difference. Based on: Debevec, "Rendering Synthetic Objects into Real Scenes", 1998, §6
     /// (differential rendering). Walls around a sphere are darker than the empty box's that the probes saw: without
     /// this, irradiance on the three spheres of the box is 10 % too bright; with it, 1 % (`tools/sphere_table`).
-    fn effect_of_objects(&self, hit: &Hit, walk: Walk, context: &mut PathContext) -> Vec3 {
+    ///
+    /// At each surface one ray goes by cosine, one toward the objects, and one toward what is bright, which they may hide;
+    /// what more than one can find is weighed by the balance heuristic. The ray by cosine goes on where it meets no object.
+    fn effect_of_objects(&self, hit: &Hit, mut walk: Walk, context: &mut PathContext) -> Vec3 {
         let environment = self.environment.as_ref().expect("the environment was hit");
-        let chance = || context.stream.random(context.sample, SIDE + walk.step);
-        let Scattered { hit, albedo } = environment.scatter(self.scene, hit, chance);
-        let walk = Walk { step: walk.step + 1, ..walk };
-        // Roulette by albedo: what goes on keeps the walk's weight at about one.
-        let survival = albedo.max_element().min(1.0);
-        let [chance, _] = context.stream.point(context.sample, ROULETTE + walk.step);
-        if walk.step > MAX_STEPS || chance >= survival {
-            return Vec3::ZERO;
-        }
-        let albedo = albedo / survival;
-        let start = environment.leave(&hit);
-        let direction = cosine_hemisphere(hit.normal, context.stream.point(context.sample, walk.step));
-        let mut effect = match self.change_along(start, direction, walk, context) {
-            Change::Object { difference, share } => {
-                albedo * difference * (share * self.cosine_weight(start, hit.normal, direction))
+        let mut effect = Vec3::ZERO;
+        let mut throughput = Vec3::ONE;
+        let mut hit = *hit;
+        loop {
+            let chance = || context.stream.random(context.sample, PAIRS * walk.step + SIDE);
+            let scattered = environment.scatter(self.scene, &hit, chance);
+            hit = scattered.hit;
+            throughput *= scattered.albedo;
+            if throughput == Vec3::ZERO {
+                return effect;
             }
-            Change::Behind(behind) => albedo * self.effect_of_objects(&behind, walk, context),
-            Change::None => Vec3::ZERO,
-        };
-        if let Some((direction, weight)) = self.toward_light(start, hit.normal, walk, context)
-            && let Change::Object { difference, share } = self.change_along(start, direction, walk, context)
-        {
-            effect += albedo * difference * (share * weight);
+            walk.step += 1;
+            let start = environment.leave(&hit);
+            let wall = Wall { start, normal: hit.normal, targets: self.targets.as_ref().filter(|_| walk.objects == 0) };
+            let direction = cosine_hemisphere(hit.normal, walk.point(BY_COSINE, context));
+            let mut behind = None;
+            match self.change_along(start, direction, walk, context) {
+                Change::Object { difference, share } => {
+                    let others = wall.target_density(direction) + self.guide.bright_density(start, direction);
+                    effect += throughput * difference * (share * wall.weight(direction, others));
+                }
+                Change::Behind(hit) => behind = Some(hit),
+                Change::None => {}
+            }
+            let receiver = wall.receiver();
+            let drawn = wall.targets.and_then(|t| t.sample_direction(&receiver, walk.point(TO_OBJECTS, context)));
+            if let Some((direction, density)) = drawn.filter(|(direction, _)| direction.dot(hit.normal) > 0.0)
+                && let Some((difference, share)) = self.change_by_object(start, direction, walk, context)
+            {
+                let others = density + self.guide.bright_density(start, direction);
+                effect += throughput * difference * (share * wall.weight(direction, others));
+            }
+            let bright = self.guide.propose_bright(start, walk.point(TO_BRIGHT, context));
+            if let Some((direction, density)) = bright.filter(|(direction, _)| direction.dot(hit.normal) > 0.0)
+                && let Some((difference, share)) = self.change_by_object(start, direction, walk, context)
+            {
+                let others = density + wall.target_density(direction);
+                effect += throughput * difference * (share * wall.weight(direction, others));
+            }
+            let Some(next) = behind else { return effect };
+            if walk.texels == Texels::Far {
+                return effect + throughput * self.effect(&next, walk, context);
+            }
+            // Roulette: what survives goes on with the weight of what does not.
+            let survival = throughput.max_element().min(MOST_SURVIVAL);
+            if walk.point(ROULETTE, context)[0] >= survival {
+                return effect;
+            }
+            throughput /= survival;
+            hit = next;
         }
-        effect
     }
 
     /// What scene geometry changes in the light that arrives at an environment point `start` from `direction`.
@@ -556,14 +627,47 @@ impl<'a> Gdibl<'a> {
         let Some(object) = object else {
             return behind.map_or(Change::None, Change::Behind);
         };
-        let with = self.object_radiance(&object, walk, context);
+        let (difference, share) = self.difference(&object, behind, start, direction, walk, context);
+        Change::Object { difference, share }
+    }
+
+    /// [`Gdibl::change_along`] for who does not ask what lies behind: most rays toward what is bright meet no object, and
+    /// need not meet the environment.
+    fn change_by_object(
+        &self,
+        start: Vec3,
+        direction: Vec3,
+        walk: Walk,
+        context: &mut PathContext,
+    ) -> Option<(Vec3, f32)> {
+        let objects = self.objects.as_ref().expect("only scene geometry has an effect");
+        let environment = self.environment.as_ref().expect("the environment was hit");
+        context.rays += 1;
+        let object = objects.closest(self.scene, start, direction, 0.0, f32::INFINITY)?;
+        let behind = environment.closest(self.scene, start, direction, 0.0, f32::INFINITY);
+        if behind.is_some_and(|behind| !counts_before(&object, &behind)) {
+            return None;
+        }
+        Some(self.difference(&object, behind, start, direction, walk, context))
+    }
+
+    /// Light with an object less light without it, and the share of the ray that it changes, 0..=1.
+    fn difference(
+        &self,
+        object: &Hit,
+        behind: Option<Hit>,
+        start: Vec3,
+        direction: Vec3,
+        walk: Walk,
+        context: &mut PathContext,
+    ) -> (Vec3, f32) {
+        let with = self.object_radiance(object, walk, context);
         let without = match behind {
             Some(hit) => self.environment_radiance(&hit, start, context),
             None => self.escaping_radiance(direction, context),
         };
         // Where one of the two is unknown, so is the difference.
-        let share = object.opacity * with.coverage.min(without.coverage);
-        Change::Object { difference: with.value - without.value, share }
+        (with.value - without.value, object.opacity * with.coverage.min(without.coverage))
     }
 
     /// 4. Nothing hit: the distant panorama, or else the probes that look out in the same direction.
@@ -584,6 +688,40 @@ impl<'a> Gdibl<'a> {
         }
         if total > 0.0 { Radiance::covered(sum / total) } else { Radiance::UNCOVERED }
     }
+}
+
+/// Where a walk leaves the environment.
+struct Wall<'a> {
+    start: Vec3,
+    normal: Vec3,
+    /// What rays go to beside those by cosine.
+    targets: Option<&'a Emitters>,
+}
+
+impl Wall<'_> {
+    fn receiver(&self) -> Receiver<'static> {
+        Receiver::surface(self.start, self.normal)
+    }
+
+    /// Density per steradian with which rays toward objects find a direction.
+    fn target_density(&self, direction: Vec3) -> f32 {
+        self.targets.map_or(0.0, |targets| targets.density(&self.receiver(), direction))
+    }
+
+    /// Weight of what was found in a direction: cosθ/π over the densities of all that could have found it.
+    fn weight(&self, direction: Vec3, others: f32) -> f32 {
+        let by_cosine = direction.dot(self.normal) * FRAC_1_PI;
+        by_cosine / (by_cosine + others)
+    }
+}
+
+/// Scene geometry as something to draw directions toward.
+fn targets_of(scene: &Scene, objects: &Surfaces) -> Vec<Emitter> {
+    let triangles = (0..objects.len() as u32).map(|triangle| {
+        let double_sided = objects.material(scene, triangle).double_sided;
+        Emitter::target(*objects.corners(triangle), double_sided)
+    });
+    triangles.filter(|target| target.area > 0.0).collect()
 }
 
 impl RadianceFunction for Gdibl<'_> {
@@ -622,6 +760,7 @@ impl RadianceFunction for Gdibl<'_> {
                 let mut part = self.environment_radiance(&hit, origin, context);
                 // The point's own walk: texels, good enough for what comes by way of another surface, would be seen.
                 if self.effects.is_some() {
+                    let walk = Walk { texels: Texels::None, ..walk };
                     part.value += self.effect_of_objects(&hit, walk, context) * part.coverage;
                 }
                 part

@@ -78,6 +78,10 @@ impl Radiance {
 /// solid or outside: it may stand on a floor, and that shows its front. A dark room shows the fronts of its walls.
 pub(crate) const SOLID_BACKS: f64 = 0.25;
 
+/// No walk goes on with a greater probability than this: where surfaces take no light and none escapes, it would never end.
+/// What goes on has the weight of what does not, so this leaves no light out.
+pub(crate) const MOST_SURVIVAL: f32 = 0.999;
+
 /// What one worker carries from ray to ray: random points, scratch memory, counts.
 #[derive(Debug)]
 pub struct PathContext {

@@ -10,34 +10,30 @@
 //! [`Metals`](crate::scene::Metals)). What lets light through straight lets paths pass by chance, tinted; what lets it
 //! through diffusely sends some on from its other side.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
+use std::collections::BTreeSet;
 
 use super::guide::{Distant, Guide, Receiver, Sky, bright_triangles, solid_angle_density};
 use super::punctual::{Arriving, Punctual};
-use super::{PathContext, Radiance, RadianceFunction, Seen};
+use super::{MOST_SURVIVAL, PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
-use crate::sampling::cosine_hemisphere;
+use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Material, Metals, Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
 
 /// How paths are traced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PathSettings {
-    /// Surfaces that light may leave on its way, the one that is seen counted: 1 is direct light. At most
-    /// [`PathSettings::MAX_BOUNCES`].
-    pub bounces: u32,
+    /// Surfaces that light may leave on its way, the one that is seen counted: 1 is direct light. `None`: any number;
+    /// roulette alone ends a walk, and no light is left out.
+    pub bounces: Option<u32>,
     /// Geometry that is there: for captures the environment alone, because probes have not seen the rest.
     pub scene_geometry: bool,
 }
 
-impl PathSettings {
-    /// The most bounces.
-    pub const MAX_BOUNCES: u32 = 4096;
-}
-
 impl Default for PathSettings {
     fn default() -> Self {
-        PathSettings { bounces: 64, scene_geometry: true }
+        PathSettings { bounces: None, scene_geometry: true }
     }
 }
 
@@ -73,7 +69,6 @@ impl<'a> Path<'a> {
     /// Builds the hierarchy. `scene` must have been read with
     /// [`TextureNeeds::All`](crate::import::gltf::TextureNeeds::All).
     pub fn new(scene: &'a Scene, distant: Option<&'a Distant>, settings: PathSettings) -> Path<'a> {
-        assert!(settings.bounces <= PathSettings::MAX_BOUNCES, "bounces {}", settings.bounces);
         let frame = Frame::of_scene(scene);
         let surfaces = Surfaces::new(scene, |mesh| settings.scene_geometry || mesh.role == Role::Environment, &frame);
         let bright = surfaces.iter().flat_map(|surfaces| bright_triangles(scene, &[surfaces])).flatten();
@@ -94,8 +89,8 @@ impl<'a> Path<'a> {
         }
     }
 
-    /// Surfaces that light may leave on its way.
-    pub fn bounces(&self) -> u32 {
+    /// Surfaces that light may leave on its way; `None`: any number.
+    pub fn bounces(&self) -> Option<u32> {
         self.settings.bounces
     }
 
@@ -141,7 +136,7 @@ impl<'a> Path<'a> {
         let (mut met, mut direction) = (first.hit, direction);
         // The surface that was left, and the density of the direction there; the first ray was paid for by who sent it.
         let mut left: Option<(Receiver, f32)> = None;
-        for bounce in 0..=self.settings.bounces {
+        for bounce in 0.. {
             let pair = 1 + PAIRS * bounce;
             let Some(hit) = met else {
                 let sky = self.sky.as_ref().map_or(Vec3::ZERO, |sky| sky.radiance(direction));
@@ -159,13 +154,13 @@ impl<'a> Path<'a> {
             let scattered = surfaces.scatter(self.scene, &hit, || context.stream.random(context.sample, pair + 1));
             let hit = scattered.hit;
             throughput *= scattered.albedo;
-            if bounce == self.settings.bounces || throughput == Vec3::ZERO {
+            if self.settings.bounces == Some(bounce) || throughput == Vec3::ZERO {
                 break;
             }
             let start = surfaces.leave(&hit);
             light += throughput * self.direct(start, hit.normal, pair, context);
             // Roulette: what survives goes on with the weight of what does not.
-            let survival = throughput.max_element().min(1.0);
+            let survival = throughput.max_element().min(MOST_SURVIVAL);
             if bounce >= ROULETTE_FROM {
                 if context.point(pair + 3)[0] >= survival {
                     break;
@@ -180,6 +175,29 @@ impl<'a> Path<'a> {
             met = next.hit;
         }
         light
+    }
+
+    /// The materials that a walk from here met, if light came by and it was taken neither by them nor by escape.
+    fn endless_walk(&self, start: Hit, context: &mut PathContext) -> Option<BTreeSet<u32>> {
+        let surfaces = self.surfaces.as_ref()?;
+        let (mut hit, mut kept, mut is_lit) = (start, Vec3::ONE, false);
+        let mut materials = BTreeSet::new();
+        for bounce in 0..REFLECTIONS {
+            let pair = 2 + PAIRS * bounce;
+            kept *= surfaces.albedo(self.scene, &hit);
+            if kept.max_element() < KEPT {
+                return None;
+            }
+            materials.insert(surfaces.mesh(self.scene, hit.triangle).material);
+            let start = surfaces.leave(&hit);
+            if !is_lit && bounce < ASKED {
+                is_lit = surfaces.emission(self.scene, &hit) != Vec3::ZERO
+                    || self.direct(start, hit.normal, pair, context) != Vec3::ZERO;
+            }
+            let direction = cosine_hemisphere(hit.normal, context.point(pair));
+            hit = self.nearest(start, direction, pair + PAIRS, context).hit?;
+        }
+        is_lit.then_some(materials)
     }
 
     /// Density per steradian with which a receiver's own ray toward an emitter finds this hit.
@@ -354,7 +372,7 @@ impl RadianceFunction for Path<'_> {
 pub fn specular_left_out(scene: &Scene) -> Option<Finding> {
     // Reflected from white light that comes from all sides, by area: diffusely, and by metals.
     let (mut diffuse, mut specular) = (0.0, 0.0);
-    let mut metals = std::collections::BTreeSet::new();
+    let mut metals = BTreeSet::new();
     let mut unknown = 0;
     let mut kinds = [false; 2];
     let metallic: Vec<f64> = scene.materials.iter().map(|material| mean_metallic(scene, material)).collect();
@@ -405,6 +423,55 @@ pub fn specular_left_out(scene: &Scene) -> Option<Finding> {
 fn mean_metallic(scene: &Scene, material: &Material) -> f64 {
     let map = material.metallic_map.map_or(1.0, |map| scene.maps[map.texture as usize].mean());
     f64::from(material.metallic) * map
+}
+
+/// Walks that look for light without end, how often each is reflected, and the least share of its light that it must keep.
+const WALKS: u32 = 64;
+const REFLECTIONS: u32 = 1024;
+const KEPT: f32 = 0.9;
+/// Of the first so many surfaces each walk asks whether they are lit.
+const ASKED: u32 = 32;
+
+/// Lit places where light is reflected on and on, because no surface takes any of it and it does not escape:
+/// `light-without-end`, counted in walks of 64, with the materials. What is baked there is noise: the sum of the light has no
+/// end. Nothing is traced unless some material is as good as white.
+pub fn light_without_end(scene: &Scene, path: &Path) -> Option<Finding> {
+    let surfaces = path.surfaces.as_ref()?;
+    let takes_nothing = |material: &Material| {
+        !material.unlit && material.base_color.truncate().max_element() * (1.0 - material.metallic) > 0.9999
+    };
+    scene.meshes.iter().find(|mesh| takes_nothing(&scene.materials[mesh.material as usize]))?;
+    let mut whole = 0.0;
+    let area = |triangle: u32| {
+        let [a, b, c] = surfaces.corners(triangle);
+        whole += f64::from((*b - *a).cross(*c - *a).length());
+        whole
+    };
+    let cumulative: Vec<f64> = (0..surfaces.len() as u32).map(area).collect();
+    let mut context = PathContext::new(Stream::new(Sampler::Sobol, 0, streams::ENDLESS, 0));
+    let mut count = 0;
+    let mut names = BTreeSet::new();
+    for walk in 0..WALKS {
+        context.sample = walk;
+        let ([a, b], [c, _]) = (context.point(0), context.point(1));
+        let triangle = cumulative.partition_point(|sum| *sum <= f64::from(a) * whole).min(surfaces.len() - 1);
+        let place = Vec2::new(1.0 - b.sqrt(), c * b.sqrt());
+        if let Some(materials) = path.endless_walk(surfaces.point(triangle as u32, place, false), &mut context) {
+            count += 1;
+            names.extend(materials.iter().map(|material| scene.materials[*material as usize].name.as_str()));
+        }
+    }
+    (count > 0).then(|| {
+        let names: Vec<String> = names.into_iter().take(3).map(|name| format!("\"{name}\"")).collect();
+        let message = format!(
+            "of {WALKS} walks through the level, {count} kept {} % of their light over {REFLECTIONS} reflections: surfaces of \
+             albedo 1 all around take none, so the sum of the light there has no end, and what is baked is noise (materials {}); \
+             give them a base colour under 1: white paint has 0.8",
+            KEPT * 100.0,
+            names.join(", ")
+        );
+        Finding::new("light-without-end", count, message)
+    })
 }
 
 /// Weight of light that the walk found with density `walk`, and a light's own ray could have found with `drawn`.

@@ -34,7 +34,7 @@ fn legendre(l: usize, x: f64) -> f64 {
 
 fn baked_of(scene: &Scene, bands: u32, points: &[DVec3]) -> gdibl_baker::bake::Baked {
     let sky = distant(panorama(4, |_| [0.01, 0.02, 0.03]));
-    let path = Path::new(scene, Some(&sky), PathSettings { bounces: 0, ..PathSettings::default() });
+    let path = Path::new(scene, Some(&sky), PathSettings { bounces: Some(0), ..PathSettings::default() });
     bake_points(&path, points, &BakeSettings { bands, samples: 64, punctual: true, ..BakeSettings::default() })
 }
 

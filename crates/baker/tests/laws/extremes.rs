@@ -225,7 +225,7 @@ fn error_bar_covers_light_of_three_bounces_in_a_probe() {
     let [a, b, c, d] = [[0.45, 0.45], [0.45, 0.55], [0.55, 0.55], [0.55, 0.45]].map(|[x, z]| DVec3::new(x, 2.9, z));
     add_of(&mut scene, &[[a, c, b], [a, d, c]], 0.0, 1e4);
     let points = [[7.5, 1.0, 0.5], [7.2, 2.0, 1.5], [7.9, 0.1, 2.8], [7.3, 1.5, 0.3]].map(DVec3::from);
-    let two = Path::new(&scene, None, PathSettings { bounces: 2, ..PathSettings::default() });
+    let two = Path::new(&scene, None, PathSettings { bounces: Some(2), ..PathSettings::default() });
     assert!(bake_points(&two, &points, &SMALL).sh.iter().all(|v| *v == 0.0), "no light by two bounces");
     let path = Path::new(&scene, None, PathSettings::default());
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };

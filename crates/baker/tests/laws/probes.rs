@@ -1,13 +1,14 @@
 //! What probes have seen, and where further ones should stand.
 
-use gdibl_baker::Control;
 use gdibl_baker::analyse::{Coverage, CoveragePaint, CoverageView, Viewpoint, coverage};
 use gdibl_baker::capture::{PlaceSettings, Placement, are_free, place_probes};
 use gdibl_baker::radiance::path::{Path, PathSettings};
 use gdibl_baker::render::{Camera, RenderSettings, render};
 use gdibl_baker::scene::{Material, Role, Scene};
+use gdibl_baker::{Control, Interrupted};
 use glam::{DVec3, Vec3};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use crate::level::*;
 
@@ -19,7 +20,9 @@ fn path(scene: &Scene) -> Path<'_> {
 
 fn suggest(scene: &Scene, existing: &[DVec3], gain: f64) -> Placement {
     let bounds = scene.bounds(|_| true).expect("triangles");
-    place_probes(&path(scene), bounds, existing, &PlaceSettings { most: 8, gain })
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let settings = PlaceSettings { most: 8, gain };
+    place_probes(&path(scene), bounds, existing, &settings, &control).expect("nobody interrupts")
 }
 
 fn seen_from(scene: &Scene, probes: &[DVec3], distant_pixels: Option<usize>) -> Coverage {
@@ -106,6 +109,27 @@ fn placement_does_not_depend_on_the_number_of_threads() {
     let one = on(1);
     assert!(!one.suggestions.is_empty());
     assert_eq!(one, on(3));
+}
+
+#[test]
+fn placing_shows_progress_and_stops_when_asked() {
+    let scene = room_with_pillar();
+    let bounds = scene.bounds(|_| true).expect("triangles");
+    let cancel = AtomicBool::new(false);
+    // Whoever asks at the tenth place waits for no other but those that are under way.
+    let (places, after) = (AtomicU64::new(0), AtomicU64::new(0));
+    let progress = |done, _| {
+        if cancel.load(Relaxed) {
+            after.fetch_add(done, Relaxed);
+        }
+        if places.fetch_add(done, Relaxed) + done >= 10 {
+            cancel.store(true, Relaxed);
+        }
+    };
+    let control = Control { cancel: &cancel, progress: &progress };
+    let placed = place_probes(&path(&scene), bounds, &[], &PlaceSettings::default(), &control);
+    assert_eq!(placed, Err(Interrupted));
+    assert!(after.load(Relaxed) <= rayon::current_num_threads() as u64, "{after:?}");
 }
 
 #[test]

@@ -115,7 +115,7 @@ fn solids_stay_coarse_and_their_surfaces_and_gaps_do_not() {
     add(&mut scene, Role::Environment, &solid_of(DVec3::new(4.6, 0.0, 4.0), DVec3::new(12.4, 16.0, 8.7)));
     add(&mut scene, Role::Environment, &solid_of(DVec3::new(4.6, 0.0, 9.3), DVec3::new(12.4, 16.0, 14.0)));
     let sky = distant(panorama(8, |_| [1.0; 3]));
-    let function = Path::new(&scene, Some(&sky), PathSettings { bounces: 1, ..PathSettings::default() });
+    let function = Path::new(&scene, Some(&sky), PathSettings { bounces: Some(1), ..PathSettings::default() });
     let grid = grid_of_counts(DVec3::splat(0.01), DVec3::splat(15.99), [17; 3]);
     let (nodes, _, _) = sparse(grid, 0.2, &function);
     let Nodes::Sparse(found) = &nodes else { panic!("{}", nodes.len()) };

@@ -131,7 +131,7 @@ fn node_in_a_solid_steps_out_or_is_left_out() {
         lit.materials.push(gdibl_baker::scene::Material { emission: Vec3::splat(9.0), ..lit.materials[0].clone() });
         add(&mut lit, Role::Environment, &solid_of(DVec3::new(-2.9, 2.5, -2.9), DVec3::new(0.5, 2.9, 2.0)));
         lit.meshes.last_mut().unwrap().material = lamp;
-        let function = Path::new(&lit, Some(&sky), PathSettings { bounces: 4, ..PathSettings::default() });
+        let function = Path::new(&lit, Some(&sky), PathSettings { bounces: Some(4), ..PathSettings::default() });
         let (baked, _) = bake_grid(grid, &function);
         let node = |x: usize, y: usize, z: usize| x + 5 * (y + 5 * z);
         // In the middle of the small solid, x = -1, y = 0, z = 0.

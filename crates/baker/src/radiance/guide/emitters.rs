@@ -5,15 +5,22 @@
 //! uniformly. Based on: Pharr, Jakob, Humphreys, "Physically Based Rendering", 4th ed., 2023, §12.6.3. By power alone, a
 //! game map with 645 lamps had 32 % error at 16 384 directions per node. Only what is
 //! brighter than [`BRIGHT`] times the level's mean is drawn: a level that glows all over (unlit materials) is found by
-//! any ray, and its whole geometry as a list of lights would cost more than it saves.
+//! any ray, and its whole geometry as a list of lights would cost more than it saves. Where that leaves most of the light
+//! out and rays do not find it (a level that is nearly all lamp), all that glows is drawn.
 
 use glam::{Vec2, Vec3};
 
+use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::Scene;
 use crate::trace::{Surfaces, Tree};
 
 /// How many times the area-weighted mean emitted radiance of all surfaces a triangle must exceed to be drawn.
 const BRIGHT: f32 = 4.0;
+/// Rays by which it is measured whether any ray finds what glows, and the share of them that must.
+const CHANCES: u32 = 256;
+const FOUND: f64 = 0.25;
+/// Triangles at most that are drawn because rays do not find them.
+const MOST_UNFOUND: usize = 1 << 16;
 /// Places along an edge where a textured triangle's emission is looked up for its mean.
 const TAPS: u32 = 8;
 
@@ -116,8 +123,44 @@ pub(crate) fn bright_triangles(scene: &Scene, all: &[&Surfaces]) -> Vec<Vec<Emit
         glowing.push(own);
     }
     let limit = (f64::from(BRIGHT) * power / area) as f32;
+    let drawn: f64 = glowing.iter().flatten().filter(|emitter| emitter.radiance > limit).map(Emitter::power).sum();
+    let limit = if drawn < 0.5 * power && !is_found_by_chance(scene, all, &glowing) { 0.0 } else { limit };
     glowing.iter_mut().for_each(|own| own.retain(|emitter| emitter.radiance > limit && emitter.area > 0.0));
     glowing
+}
+
+/// Rays from what glows, by its power, meet what glows: then so do those from anywhere in the level. Also true where there
+/// are too many triangles to draw.
+fn is_found_by_chance(scene: &Scene, all: &[&Surfaces], glowing: &[Vec<Emitter>]) -> bool {
+    if glowing.iter().map(Vec::len).sum::<usize>() > MOST_UNFOUND {
+        return true;
+    }
+    let from: Vec<(&Surfaces, &Emitter)> =
+        all.iter().zip(glowing).flat_map(|(surfaces, own)| own.iter().map(|emitter| (*surfaces, emitter))).collect();
+    let mut whole = 0.0;
+    let mut sum = |(_, emitter): &(&Surfaces, &Emitter)| {
+        whole += emitter.power();
+        whole
+    };
+    let cumulative: Vec<f64> = from.iter().map(&mut sum).collect();
+    let stream = Stream::new(Sampler::Sobol, 0, streams::GLOW, 0);
+    let finds = |sample: &u32| {
+        let ([a, b], [c, _]) = (stream.point(*sample, 0), stream.point(*sample, 1));
+        let number = cumulative.partition_point(|sum| *sum <= f64::from(a) * whole).min(from.len() - 1);
+        let (surfaces, emitter) = from[number];
+        let root = b.sqrt();
+        let triangle = emitter.triangle.expect("a triangle of the level");
+        let place = surfaces.point(triangle, Vec2::new(1.0 - root, c * root), false);
+        let (start, direction) = (surfaces.leave(&place), cosine_hemisphere(place.normal, stream.point(*sample, 2)));
+        let mut nearest = (f32::INFINITY, Vec3::ZERO);
+        for surfaces in all {
+            if let Some(hit) = surfaces.shown(scene, start, direction, nearest.0) {
+                nearest = (hit.t, surfaces.emission(scene, &hit));
+            }
+        }
+        nearest.1 != Vec3::ZERO
+    };
+    (0..CHANCES).filter(finds).count() as f64 >= FOUND * f64::from(CHANCES)
 }
 
 impl Emitters {
@@ -402,6 +445,16 @@ impl Emitter {
     /// counter-clockwise.
     pub fn region(corners: [Vec3; 3], radiance: f32) -> Emitter {
         Emitter { corners, triangle: None, area: area_of(&corners), radiance, double_sided: false }
+    }
+
+    /// A triangle that does not glow, but is looked for.
+    pub fn target(corners: [Vec3; 3], double_sided: bool) -> Emitter {
+        Emitter { double_sided, ..Emitter::region(corners, 1.0) }
+    }
+
+    /// Radiance × area.
+    fn power(&self) -> f64 {
+        f64::from(self.radiance) * f64::from(self.area)
     }
 
     /// Unit, of the front.

@@ -11,8 +11,8 @@ mod sky;
 
 use glam::{Mat3, Vec3};
 
-use emitters::{Emitter, Emitters, Shares};
-pub(super) use emitters::{Receiver, bright_triangles, solid_angle_density};
+use emitters::Shares;
+pub(super) use emitters::{Emitter, Emitters, Receiver, bright_triangles, solid_angle_density};
 pub use outlook::{Glance, GlanceSums, Outlook, Technique};
 pub(super) use regions::{Regions, bright_regions};
 pub use sky::Distant;
@@ -379,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn dim_and_dark_triangles_are_not_drawn() {
+    fn triangles_are_drawn_where_they_stand_out_or_chance_would_miss_them() {
         let mut scene = scene();
         let count = |scene: &Scene| {
             let surfaces = Surfaces::new(scene, |_| true, &Frame::default()).unwrap();
@@ -387,7 +387,12 @@ mod tests {
         };
         assert_eq!(count(&scene), 4);
         scene.materials[0].emission = Vec3::splat(2.0);
-        assert_eq!(count(&scene), 2, "the wall glows: only the brighter lamp stands out");
+        assert_eq!(count(&scene), 6, "most light is the wall's, and no ray from there meets what glows");
+        // Another wall close before it, which glows as much.
+        let mut other = scene.meshes[0].clone();
+        other.positions.iter_mut().for_each(|p| *p = DVec3::new(p.y, p.x, 9.0));
+        scene.meshes.push(other);
+        assert_eq!(count(&scene), 2, "only the brighter lamp stands out");
         scene.materials.iter_mut().for_each(|m| m.emission = Vec3::ONE);
         assert_eq!(count(&scene), 0, "all alike");
     }

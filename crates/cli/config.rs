@@ -389,6 +389,7 @@ pub fn gdibl_settings(quality: &QualityFlags, captured: bool, directions: u64) -
         walks: quality.samples.map_or(defaults.walks, GdiblSettings::walks_beside),
         seed: quality.seed.unwrap_or(defaults.seed),
         directions,
+        ..defaults
     }
 }
 
@@ -412,7 +413,7 @@ impl Config {
     }
 
     /// Neither flags nor BAKE.toml name a probe; the level's nodes may.
-    fn names_no_probe(&self) -> bool {
+    pub fn names_no_probe(&self) -> bool {
         self.probes.is_empty() && self.placed_probes.is_empty()
     }
 }

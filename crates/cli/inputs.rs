@@ -52,8 +52,22 @@ impl Inputs {
     /// Level and distant panorama alone.
     pub fn read_level(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
         let options = GltfOptions { textures, ..GltfOptions::default() };
-        let mut scene = read_level(&config.level, &options)?;
+        let by_probes = config.quality.method.unwrap_or_default() == Method::Gdibl && !config.names_no_probe();
+        let mut left_out = None;
+        let mut scene = match read_level(&config.level, &options) {
+            // Probes light the level without its colours, too.
+            Err(error) if by_probes && textures == TextureNeeds::All => {
+                left_out = Some(error.to_string());
+                read_level(&config.level, &GltfOptions::default())?
+            }
+            read => read?,
+        };
         let mut findings = std::mem::take(&mut scene.findings);
+        findings.extend(left_out.map(|why| {
+            let message =
+                format!("not all materials could be read, so what no probe sees is filled and not traced: {why}");
+            Finding::new("materials-left-out", 1, message)
+        }));
         if let Some(path) = &config.environment {
             let proxy = read_level(path, &options)?;
             findings.extend(proxy.findings.iter().cloned());

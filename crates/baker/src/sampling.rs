@@ -83,6 +83,8 @@ pub(crate) mod streams {
     pub const ENERGY: u64 = 1 << 59;
     /// Places on surfaces that are asked whether a probe sees them.
     pub const COVERAGE: u64 = 1 << 58;
+    /// Points where what probes show and what paths find are compared, and the rays that find them.
+    pub const AGREEMENT: u64 = 1 << 57;
 }
 
 /// SplitMix64's finaliser (Steele, Lea, Flood, 2014): every input bit moves every output bit.

@@ -19,6 +19,9 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Decoded only where a material that needs them is used by a triangle; see [`TextureUse`].
     pub textures: Vec<Texture>,
+    /// Colours or emission of some environment materials were not read, see
+    /// [`TextureNeeds`](crate::import::gltf::TextureNeeds): paths cannot be traced by them.
+    pub materials_left_out: bool,
     /// KHR_lights_punctual, placed in the world.
     pub lights: Vec<PunctualLight>,
     /// Nodes with `extras.gdibl_probe`.
@@ -45,6 +48,7 @@ impl Scene {
     /// Takes all triangles of `proxy` as environment geometry in place of the own ones. Materials and textures of
     /// both stay; the proxy's lights and markers are left out.
     pub fn replace_environment(&mut self, proxy: Scene) {
+        self.materials_left_out = proxy.materials_left_out;
         let (materials, textures) = (self.materials.len() as u32, self.textures.len() as u32);
         self.meshes.retain(|mesh| mesh.role != Role::Environment);
         self.meshes.extend(proxy.meshes.into_iter().map(|mesh| Mesh {

@@ -5,11 +5,13 @@ use std::time::Instant;
 
 use gdibl_baker::bake::{self, BakeSettings, Baked, Nodes, Standing};
 use gdibl_baker::bands::{self, Truncation};
+use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::plan::{self, PlanRow};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::exposure::ExposureMatch;
-use gdibl_baker::radiance::gdibl::{Gdibl, SceneHit};
+use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
 use gdibl_baker::radiance::path::Path;
+use gdibl_baker::radiance::unseen::{UNSEEN_PLACES, Unseen};
 use gdibl_baker::records::{
     DeringingRecord, ErrorSummary, PackingRecord, ProbeRecord, Records, SettingsRecord, SparseRecord, StandingRecord,
     StatisticsRecord, SunRecord, WallsRecord,
@@ -92,7 +94,8 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let method = config.quality.method.unwrap_or_default();
 
     // Everything is read and refused before the first ray.
-    let mut inputs = Inputs::read(&config, config.textures(!arguments.no_capture))?;
+    // Where no probe counts paths are traced.
+    let mut inputs = Inputs::read(&config, TextureNeeds::All)?;
     let sun = match config.quality.sun.unwrap_or_default() {
         Sun::Include => None,
         Sun::Extract => inputs.extract_sun()?.map(SunRecord::from),
@@ -135,7 +138,10 @@ pub fn run(arguments: Arguments) -> Result<(), Fault> {
     let (mut plan, found) = match method {
         Method::Gdibl => {
             let gdibl = gdibl_settings(&config.quality, inputs.captured, settings.directions(nodes.len() as u64));
-            let function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
+            let size = inputs.scene.bounds(|_| true).map_or(0.0, |(min, max)| (max - min).max_element());
+            let gdibl = GdiblSettings { coarsest: nodes.coarsest_pixel(size), ..gdibl };
+            let mut function = Gdibl::new(&inputs.scene, &inputs.probes, inputs.distant.as_ref(), gdibl);
+            function.choose_unseen(Unseen::Auto, &nodes.some_positions(UNSEEN_PLACES));
             let plan = [plan, plan::plan(&inputs.scene, &function)].concat();
             let plan = with_sealed(plan, sealed);
             if arguments.plan {

@@ -78,6 +78,12 @@ impl Draft {
         }
     }
 
+    /// Paths that are traced by the environment need more of the material than is read.
+    pub fn leaves_out(&self, textures: Textures) -> bool {
+        let needs = |textures| self.needs(Role::Environment, textures);
+        needs(textures) != needs(Textures { all: true, ..textures })
+    }
+
     /// Which attributes to read for a primitive of this material. Base colour looks up in the first set of `Mesh::uvs`,
     /// emission too if it names the same glTF set.
     pub fn wanted(&self, role: Role, textures: Textures) -> Wanted {

@@ -135,6 +135,8 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
             Role::Scene => used.scene = true,
         }
     }
+    let leaves_out = |(draft, used): (&Draft, &UsedBy)| used.environment && draft.leaves_out(textures);
+    let materials_left_out = drafts.iter().zip(&used).any(leaves_out);
     let (materials, textures) = material::finish(&buffers, drafts, &used, textures)?;
     for mesh in &mut meshes {
         let material = &materials[mesh.material as usize];
@@ -145,7 +147,16 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
             }
         }
     }
-    Ok(Scene { meshes, materials, textures, lights, probe_markers, volume_markers, findings: findings.into_vec() })
+    Ok(Scene {
+        meshes,
+        materials,
+        textures,
+        materials_left_out,
+        lights,
+        probe_markers,
+        volume_markers,
+        findings: findings.into_vec(),
+    })
 }
 
 /// The meshes of all nodes that are not ignored.

@@ -80,11 +80,13 @@ impl Part {
             walls: None,
             coverage: Vec::new(),
             relative_error: Vec::new(),
+            systematic_error: Vec::new(),
             worst_error: Vec::new(),
             coefficient_error: Vec::new(),
             rays: 0,
             samples: 0,
             missed: 0,
+            missed_by_systematic: 0,
             clamped: 0.0,
         };
         for node in 0..nodes.len() {

@@ -206,7 +206,7 @@ impl RadianceFunction for Constant<'_> {
     }
 
     fn radiance(&self, _: Vec3, _: Vec3, _: &mut PathContext) -> Radiance {
-        Radiance { value: Vec3::ONE, coverage: 1.0 }
+        Radiance::covered(Vec3::ONE)
     }
 }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::sky::SkySource;
 use gdibl_baker::job::{Method, NodeKind, Settings};
+use gdibl_baker::radiance::unseen::Unseen;
 
 use crate::fault::Fault;
 use crate::flags::Given;
@@ -209,14 +210,17 @@ impl Config {
 
     /// Which textures the method needs.
     pub fn textures(&self) -> TextureNeeds {
-        let named = !self.probes.is_empty() || !self.placed_probes.is_empty();
+        let is_filled = self.settings.quality.unseen == Unseen::Fill;
         match self.settings.quality.method {
-            Method::Path => TextureNeeds::All,
-            Method::Gdibl | Method::Auto if named => TextureNeeds::Gdibl,
-            Method::Gdibl => TextureNeeds::Captured,
-            // The level's own nodes may name probes, which is not known before it is read.
-            Method::Auto => TextureNeeds::All,
+            Method::Gdibl | Method::Auto if self.names_probes() && is_filled => TextureNeeds::Gdibl,
+            // What no probe sees is traced. And the level's own nodes may name probes, which is not known before it is read.
+            _ => TextureNeeds::All,
         }
+    }
+
+    /// Flags or BAKE.toml name a probe; the level's nodes may, too.
+    pub fn names_probes(&self) -> bool {
+        !self.probes.is_empty() || !self.placed_probes.is_empty()
     }
 }
 

@@ -3,10 +3,11 @@
 use glam::{DQuat, DVec3, Quat, Vec3};
 use std::path::{Path, PathBuf};
 
+use gdibl_baker::Finding;
 use gdibl_baker::import::gltf::{TextureNeeds, read_level};
 use gdibl_baker::import::image::{Imported, ReadOptions, is_image, read_image};
 use gdibl_baker::import::sky::{SkyOptions, read_sky};
-use gdibl_baker::job::{Inputs, Memory, NodeKind, Settings};
+use gdibl_baker::job::{Inputs, Memory, Method, NodeKind, Settings};
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
@@ -40,8 +41,21 @@ pub fn read_inputs(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fa
 /// Level and distant panorama alone.
 pub fn read_level_and_sky(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
     let options = config.settings.gltf(textures);
-    let mut scene = read_level(&config.level, &options)?;
+    let by_probes = config.settings.quality.method != Method::Path && config.names_probes();
+    let mut left_out = None;
+    let mut scene = match read_level(&config.level, &options) {
+        // Probes light the level without its colours, too.
+        Err(error) if by_probes && textures == TextureNeeds::All => {
+            left_out = Some(error.to_string());
+            read_level(&config.level, &config.settings.gltf(TextureNeeds::Gdibl))?
+        }
+        read => read?,
+    };
     let mut findings = std::mem::take(&mut scene.findings);
+    findings.extend(left_out.map(|why| {
+        let message = format!("not all materials could be read, so what no probe sees is filled and not traced: {why}");
+        Finding::new("materials-left-out", 1, message)
+    }));
     if let Some(path) = &config.environment {
         let proxy = read_level(path, &options)?;
         findings.extend(proxy.findings.iter().cloned());

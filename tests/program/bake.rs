@@ -300,6 +300,7 @@ fn plan_is_printed_and_nothing_is_written() {
         "lines-of-sight",
         "blending",
         "surface-light",
+        "unseen",
         "distant",
         "recursion",
         "transparency",

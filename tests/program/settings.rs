@@ -25,6 +25,7 @@ fn other(row: &Row) -> (&'static str, &'static [&'static str]) {
         "sh" => ("L1", &[]),
         "precision" => ("f32", &[]),
         "zstd" | "coefficient_errors" | "dering" | "repair_pixels" | "match_exposure" | "record_times" => ("true", &[]),
+        "unseen" => ("fill", &[]),
         "metals" => ("black", &[]),
         "lumens_per_watt" => ("683", &[]),
         "allow_missing_textures" => ("true", &[]),

@@ -90,6 +90,8 @@ pub(crate) mod streams {
     pub const GLOW: u64 = 1 << 57;
     /// Walks that tell whether any surface takes light.
     pub const ENDLESS: u64 = 1 << 56;
+    /// Points where what probes show and what paths find are compared, and the rays that find them.
+    pub const AGREEMENT: u64 = 1 << 55;
 }
 
 /// SplitMix64's finaliser (Steele, Lea, Flood, 2014): every input bit moves every output bit.

@@ -21,6 +21,9 @@ pub struct Scene {
     pub textures: Vec<Texture>,
     /// One number per texel: metallic, transmission and the like. Decoded only where needed, too.
     pub maps: Vec<Map>,
+    /// Colours or emission of some environment materials were not read, see
+    /// [`TextureNeeds`](crate::import::gltf::TextureNeeds): paths cannot be traced by them.
+    pub materials_left_out: bool,
     /// KHR_lights_punctual, placed in the world.
     pub lights: Vec<PunctualLight>,
     /// Nodes with `extras.gdibl_probe`.
@@ -47,6 +50,7 @@ impl Scene {
     /// Takes all triangles of `proxy` as environment geometry in place of the own ones. Materials and textures of
     /// both stay; the proxy's lights and markers are left out.
     pub fn replace_environment(&mut self, proxy: Scene) {
+        self.materials_left_out = proxy.materials_left_out;
         let (materials, textures, maps) =
             (self.materials.len() as u32, self.textures.len() as u32, self.maps.len() as u32);
         self.meshes.retain(|mesh| mesh.role != Role::Environment);

@@ -7,7 +7,7 @@ use std::time::Instant;
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{MAX_PIXELS, Pose, SampleFormat, write_exr, write_exr_picture, write_png};
 use gdibl_baker::job::records::PlanRow;
-use gdibl_baker::job::{Method, Work, with_function};
+use gdibl_baker::job::{Method, Viewers, Work, with_function};
 use gdibl_baker::panorama::{Image, Mapping};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::render::{Camera, Picture, RenderSettings, render, tone};
@@ -136,7 +136,10 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     }
 
     let shot = Shot { volume: volume.as_ref(), camera: &camera, settings: &settings, session, quiet: arguments.quiet };
-    let picture = with_function(&inputs, inputs.distant.as_ref(), &config.settings, 0, shot)?;
+    // A picture shows every pixel of a probe as it is; what probes do not see is found from where it is taken.
+    let place = camera.position();
+    let viewers = Viewers { directions: 0, coarsest: f32::INFINITY, places: vec![place] };
+    let picture = with_function(&inputs, inputs.distant.as_ref(), &config.settings, &viewers, shot)?;
     let exposure_stops = match file_type {
         FileType::Png => Some(arguments.exposure.unwrap_or_else(|| tone::automatic_exposure_stops(&picture.image))),
         FileType::Exr => None,

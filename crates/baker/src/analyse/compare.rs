@@ -374,11 +374,13 @@ mod tests {
             walls: None,
             coverage: vec![1.0; count],
             relative_error: vec![relative_error; count],
+            systematic_error: vec![0.0; count],
             worst_error: vec![relative_error; count],
             coefficient_error: Vec::new(),
             rays: 0,
             samples: 0,
             missed: 0,
+            missed_by_systematic: 0,
             clamped: 0.0,
         }
     }

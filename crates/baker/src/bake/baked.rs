@@ -77,7 +77,12 @@ pub struct Baked {
     /// Standard error of E over the larger of the node's RMS of E and a tenth of the volume's median; 0 for
     /// invalid nodes, infinite where one sample gave none.
     pub relative_error: Vec<f32>,
-    /// The same with the standard error of E in the worst direction and channel.
+    /// Estimate of the systematic error of E, root mean square, over the same: what more directions do not take away. By audits
+    /// where the level's materials explain what probes show (a share of the directions is traced as paths, too), else by leaving out
+    /// one probe at a time; shared out among nodes in proportion to their noise. With it what light may be missing from directions that nobody has seen. 0 for
+    /// invalid nodes, and by path tracing. The whole error is the root of the sum of its square and that of `relative_error`.
+    pub systematic_error: Vec<f32>,
+    /// `relative_error` with the standard error of E in the worst direction and channel.
     pub worst_error: Vec<f32>,
     /// One standard error of each coefficient, as `sh`; empty unless asked for. 0 for invalid nodes.
     pub coefficient_error: Vec<f32>,
@@ -85,8 +90,10 @@ pub struct Baked {
     pub rays: u64,
     /// Directions that left nodes.
     pub samples: u64,
-    /// Valid nodes over the target error.
+    /// Valid nodes whose whole error is over the target.
     pub missed: u64,
+    /// Those of them whose systematic error alone is: more directions would not help.
+    pub missed_by_systematic: u64,
     /// Share of the valid nodes' light that clamping took, 0..=1.
     pub clamped: f64,
 }

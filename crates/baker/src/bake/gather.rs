@@ -107,7 +107,7 @@ fn gather(
             if weight > 0.0 {
                 let arriving = function.radiance(origin, direction, &mut context);
                 sum.light += arriving.value.as_dvec3() * f64::from(weight);
-                sum.covered += f64::from(arriving.coverage) * f64::from(weight);
+                sum.covered += f64::from(arriving.told()) * f64::from(weight);
                 sum.all += f64::from(weight);
             }
         }

@@ -16,6 +16,7 @@ mod sample;
 mod sealed;
 mod sparse;
 mod standing;
+mod systematic;
 pub(crate) mod walls;
 
 use gdibl_runtime::sh;
@@ -26,13 +27,14 @@ pub use finite::check_finite;
 pub(crate) use gather::propose_on_surface;
 pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 pub use gdibl_runtime::walls::WallCell;
-pub use integrate::INTERVAL_95;
+pub use integrate::{INTERVAL_95, WHOLE_INTERVAL_95};
 pub(crate) use irradiance::{Irradiance, difference, irradiance_of, root_mean_square, strength};
 pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_spacing};
-use sample::{Batch, Sampled, Summary};
+use sample::{Batch, Sampled, Scale, Summary};
 pub use sealed::is_sealed;
 pub use sparse::{bake_sparse, grid_of_cells, levels_of};
 pub use standing::Standing;
+use systematic::systematic_errors;
 
 use crate::radiance::RadianceFunction;
 use crate::{Control, Interrupted};
@@ -66,7 +68,7 @@ fn finish(
     function: &impl RadianceFunction,
     settings: &BakeSettings,
     control: &Control,
-    Batch { sites, sampled, median }: Batch,
+    Batch { sites, sampled, scale: Scale { median, .. } }: Batch,
 ) -> Result<Baked, Interrupted> {
     let Sampled { sh, mut coefficient_error, estimates, rays, samples } = sampled;
     let is_open: Vec<bool> = sites.standing.iter().map(|standing| *standing == Standing::Open).collect();
@@ -76,6 +78,8 @@ fn finish(
     };
     let relative_error = errors(|e| e.standard_error);
     let worst_error = errors(|e| e.worst_error);
+    let open: Vec<u32> = (0..is_open.len() as u32).filter(|place| is_open[*place as usize]).collect();
+    let systematic_error = systematic_errors(&open, &estimates, median);
     let stride = 3 * sh::coefficient_count(settings.bands);
     for (errors, _) in coefficient_error.chunks_exact_mut(stride).zip(&is_open).filter(|(_, valid)| !**valid) {
         errors.fill(0.0);
@@ -88,7 +92,9 @@ fn finish(
         bands: settings.bands,
         sh,
         coverage: valid().map(|(e, valid)| if valid { e.coverage as f32 } else { 0.0 }).collect(),
-        missed: relative_error.iter().filter(|e| **e > target).count() as u64,
+        missed: relative_error.iter().zip(&systematic_error).filter(|(n, s)| n.hypot(**s) > target).count() as u64,
+        missed_by_systematic: systematic_error.iter().filter(|e| **e > target).count() as u64,
+        systematic_error,
         relative_error,
         worst_error,
         coefficient_error,

@@ -67,11 +67,13 @@ impl Part {
             walls: None,
             coverage: Vec::new(),
             relative_error: Vec::new(),
+            systematic_error: Vec::new(),
             worst_error: Vec::new(),
             coefficient_error: Vec::new(),
             rays: 0,
             samples: 0,
             missed: 0,
+            missed_by_systematic: 0,
             clamped: 0.0,
         };
         for node in 0..nodes.len() {
@@ -99,6 +101,7 @@ impl Part {
             valid().map(|node| f64::from(self.baked.coverage[node])).sum::<f64>() / valid().count().max(1) as f64;
         statistics.walls = walls.as_ref().map(WallsRecord::from);
         (statistics.worst_direction_error, statistics.sparse, statistics.packing) = (None, None, None);
+        statistics.systematic_error = None;
         records
     }
 }

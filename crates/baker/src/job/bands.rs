@@ -87,11 +87,13 @@ mod tests {
             walls: None,
             coverage: vec![1.0; nodes.len()],
             relative_error: vec![0.0; nodes.len()],
+            systematic_error: vec![0.0; nodes.len()],
             worst_error: vec![0.0; nodes.len()],
             coefficient_error: Vec::new(),
             rays: 0,
             samples: 0,
             missed: 0,
+            missed_by_systematic: 0,
             clamped: 0.0,
         }
     }

@@ -14,6 +14,7 @@ mod statistics;
 mod stop;
 mod text;
 
+use glam::DVec3;
 use std::sync::atomic::AtomicBool;
 
 use crate::bake::{self, Baked, Nodes};
@@ -21,6 +22,7 @@ use crate::exposure::{ExposureMatch, match_exposure};
 use crate::pack::{Sections, sections};
 use crate::radiance::gdibl::Gdibl;
 use crate::radiance::path::Path;
+use crate::radiance::unseen::UNSEEN_PLACES;
 use crate::radiance::{Distant, RadianceFunction};
 use crate::{Control, Finding, Interrupted};
 use bands::Truncation;
@@ -216,9 +218,15 @@ impl Job {
 
     /// Calls `work` with the radiance function of the method in force.
     fn with_function<W: Work>(&self, settings: &Settings, work: W) -> W::Output {
-        let directions = settings.bake().directions(self.nodes.len() as u64);
         let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
-        with_function(&self.inputs, distant, settings, directions, work)
+        let directions = settings.bake().directions(self.nodes.len() as u64);
+        let (min, max) = self.inputs.scene.bounds(|_| true).unwrap_or_default();
+        let viewers = Viewers {
+            directions,
+            coarsest: self.nodes.coarsest_pixel((max - min).max_element()),
+            places: self.nodes.some_positions(UNSEEN_PLACES),
+        };
+        with_function(&self.inputs, distant, settings, &viewers, work)
     }
 
     /// What was decided before there was a radiance function.
@@ -247,13 +255,23 @@ pub trait Work {
     fn run(self, function: &impl RadianceFunction, rows: Vec<PlanRow>) -> Self::Output;
 }
 
-/// Calls `work` with the radiance function of the method in force. `directions`: those that will leave nodes, all together,
-/// 0 where there are none.
+/// Who will ask for light, as far as the radiance function depends on it.
+#[derive(Debug, Clone)]
+pub struct Viewers {
+    /// Directions, all together; 0: not known, and nothing is remembered.
+    pub directions: u64,
+    /// A probe counts where its pixel covers a square of at most this edge, metres.
+    pub coarsest: f32,
+    /// Some of the places, world metres: from there it is found what probes do not see.
+    pub places: Vec<DVec3>,
+}
+
+/// Calls `work` with the radiance function of the method in force.
 pub fn with_function<W: Work>(
     inputs: &Inputs,
     distant: Option<&Distant>,
     settings: &Settings,
-    directions: u64,
+    viewers: &Viewers,
     work: W,
 ) -> W::Output {
     let scene = &inputs.scene;
@@ -265,7 +283,11 @@ pub fn with_function<W: Work>(
         rows
     };
     if inputs.method(settings) == Method::Gdibl {
-        let function = Gdibl::new(scene, &inputs.probes, distant, settings.gdibl(inputs.captured, directions));
+        let own = settings.gdibl(inputs.captured, viewers.directions, viewers.coarsest);
+        let mut function = Gdibl::new(scene, &inputs.probes, distant, own);
+        if !inputs.probes.is_empty() {
+            function.choose_unseen(settings.quality.unseen, &viewers.places);
+        }
         let rows = without_sealed(plan::plan(scene, &function));
         work.run(&function, rows)
     } else {

@@ -11,6 +11,7 @@ use crate::exposure::ExposureMatch;
 use crate::radiance::RadianceFunction;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
+use crate::radiance::unseen::UnseenChoice;
 use crate::scene::{Role, Scene};
 
 /// Which method is in force, and who chose it.
@@ -91,6 +92,7 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
             0 => PlanRow::new("surface-light", false, "no surface is hit often enough to remember its light"),
             n => PlanRow::new("surface-light", true, format!("what probes show of {n} triangles is remembered")),
         },
+        unseen(function.unseen(), probes),
         match (function.has_distant(), probes) {
             (true, _) => PlanRow::new("distant", true, "rays that hit nothing read the distant panorama"),
             (false, 0) => PlanRow::new("distant", false, "no distant panorama and no probe"),
@@ -115,6 +117,29 @@ pub fn plan(scene: &Scene, function: &Gdibl) -> Vec<PlanRow> {
         },
         transparency(scene),
     ]
+}
+
+/// What is done where no probe sees a surface finely enough.
+fn unseen(choice: &UnseenChoice, probes: usize) -> PlanRow {
+    let share = 100.0 * choice.unseen_share;
+    let why = &choice.why;
+    match (probes, choice.traced) {
+        (0, _) => PlanRow::new("unseen", false, "no probe"),
+        (_, true) => {
+            let gain = match choice.gain {
+                [1.0, 1.0, 1.0] => String::new(),
+                [r, g, b] => format!("; traced light is multiplied by {r:.3} {g:.3} {b:.3} to fit the probes"),
+            };
+            PlanRow::new(
+                "unseen",
+                true,
+                format!("{share:.1} % of what nodes see is traced, not finely seen: {why}{gain}"),
+            )
+        }
+        (_, false) => {
+            PlanRow::new("unseen", false, format!("{share:.1} % of what nodes see is filled, not finely seen: {why}"))
+        }
+    }
 }
 
 /// A distant panorama that no node can see is left out of the bake.

@@ -166,6 +166,8 @@ StatisticsRecord {
 later {
     /// What was done, in order, and what it took.
     stages: Vec<StageRecord>,
+    /// Relative systematic error of E over valid nodes, what more directions do not take away; `None` where nothing tells.
+    systematic_error: Option<ErrorSummary>,
 }
 }
 

@@ -11,6 +11,7 @@ use crate::pack::{PackSettings, Precision};
 use crate::radiance::blend::BlendRule;
 use crate::radiance::gdibl::{GdiblSettings, SceneHit};
 use crate::radiance::path::PathSettings;
+use crate::radiance::unseen::Unseen;
 use crate::sampling::Sampler;
 use crate::scene::Metals;
 
@@ -219,6 +220,9 @@ settings! {
         /// How probes that see a point share it: distance:k, angular:k, angular-smooth:k, nearest, footprint:k
         /// [default: footprint:4]
         "RULE" blend: BlendRule = BlendRule::default();
+        /// What no probe sees finely enough: trace it by the level's materials, fill it from what is seen, or auto: trace
+        /// where probes and materials agree to 20 % [default: auto]
+        "WHAT" unseen: Unseen = Unseen::Auto;
         /// What metals reflect: diffuse, the share that keeps the energy of a rough metal, or black [default: diffuse]
         "WHAT" metals: Metals = Metals::Diffuse;
         /// Divide the level's punctual lights by this: lumens that an exporter made of a watt (Blender: 683) [default: off]
@@ -316,8 +320,9 @@ impl Settings {
     }
 
     /// How the probes' light is computed. `captured`: they were captured from the level, without its emission.
-    /// `directions`: those that will leave nodes, all together, 0 where there are none.
-    pub fn gdibl(&self, captured: bool, directions: u64) -> GdiblSettings {
+    /// `directions`: those that will leave nodes, all together, 0 where there are none. `coarsest`: a probe counts where its
+    /// pixel covers a square of at most this edge, metres.
+    pub fn gdibl(&self, captured: bool, directions: u64, coarsest: f32) -> GdiblSettings {
         let quality = &self.quality;
         GdiblSettings {
             blend: quality.blend,
@@ -326,6 +331,7 @@ impl Settings {
             walks: GdiblSettings::walks_beside(self.bake().directions(1)),
             seed: quality.seed,
             directions,
+            coarsest,
         }
     }
 

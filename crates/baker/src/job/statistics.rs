@@ -31,6 +31,7 @@ impl StatisticsRecord {
                 moved: baked.moved.len() as u64,
             },
             walls: baked.walls.as_ref().map(WallsRecord::from),
+            systematic_error: errors(&baked.systematic_error),
             ..StatisticsRecord::default()
         }
     }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::pack::Precision;
 use crate::radiance::blend::BlendRule;
 use crate::radiance::gdibl::SceneHit;
+use crate::radiance::unseen::Unseen;
 use crate::sampling::Sampler;
 use crate::scene::Metals;
 
@@ -164,6 +165,7 @@ macro_rules! words {
 words!(Sampler { "sobol" = Sampler::Sobol, "random" = Sampler::Random });
 words!(Method { "auto" = Method::Auto, "gdibl" = Method::Gdibl, "path" = Method::Path });
 words!(Punctual { "include" = Punctual::Include, "exclude" = Punctual::Exclude });
+words!(Unseen { "auto" = Unseen::Auto, "trace" = Unseen::Trace, "fill" = Unseen::Fill });
 words!(Metals { "diffuse" = Metals::Diffuse, "black" = Metals::Black });
 words!(SunLight { "include" = SunLight::Include, "extract" = SunLight::Extract });
 

@@ -59,6 +59,14 @@ pub struct Lookers<'a> {
     pub probes: &'a [PlacedProbe],
     /// How they share a point.
     pub blend: BlendRule,
+    /// A probe sees a point finely enough if its pixel covers a square of at most this edge there, trace units.
+    pub coarsest: f32,
+}
+
+/// Edge of the square that a pixel of a probe covers on a surface `height` under the probe, trace units: pixels per area are
+/// N cosθ / 4π d², and cosθ is height / d.
+pub fn pixel_size(pixels: f32, height: f32, distance: f32) -> f32 {
+    (4.0 * std::f32::consts::PI * distance.powi(3) / (pixels * height)).sqrt()
 }
 
 impl Lookers<'_> {
@@ -73,7 +81,10 @@ impl Lookers<'_> {
             let is_before = height > -ROUNDING * farthest;
             let bounds = |height: f32| self.blend.merit_bounds(probe.pixels, height.max(0.0), [nearest, farthest]);
             let ([least, _], [_, most]) = (bounds(height - ROUNDING * farthest), bounds(height + ROUNDING * farthest));
-            is_before.then_some(([least * (1.0 - ROUNDING), most * (1.0 + ROUNDING)], *candidate))
+            // Who sees a part of the place too coarsely lets no other be left out.
+            let is_fine = pixel_size(probe.pixels, (height - ROUNDING * farthest).max(0.0), farthest) <= self.coarsest;
+            let least = if is_fine { least * (1.0 - ROUNDING) } else { 0.0 };
+            is_before.then_some(([least, most * (1.0 + ROUNDING)], *candidate))
         };
         let mut open: Vec<([f32; 2], Candidate)> = all.iter().filter_map(bounds).collect();
         open.sort_by(|a, b| b.0[1].total_cmp(&a.0[1]));
@@ -105,13 +116,12 @@ impl Lookers<'_> {
     /// Edge of the smallest square, trace units, that a pixel of one of these probes covers on a place: pixels per area are
     /// N cosθ / 4π d², of its point that is nearest to the probe. Infinite where none stands before it.
     pub fn finest_pixel(&self, candidates: &[Candidate], place: &Place) -> f32 {
-        let density = |candidate: &Candidate| {
+        let size = |candidate: &Candidate| {
             let probe = &self.probes[candidate.probe as usize];
             let height = place.normal.dot(probe.position - place.corners[0]);
             let distance = nearest_point(place.corners, probe.position).distance(probe.position).max(height);
-            if height > 0.0 { probe.pixels * height / distance.powi(3) } else { 0.0 }
+            if height > 0.0 { pixel_size(probe.pixels, height, distance) } else { f32::INFINITY }
         };
-        let densest = candidates.iter().map(density).fold(0.0, f32::max);
-        (4.0 * std::f32::consts::PI / densest).sqrt()
+        candidates.iter().map(size).fold(f32::INFINITY, f32::min)
     }
 }

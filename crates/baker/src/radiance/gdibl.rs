@@ -6,17 +6,21 @@
 //! ray; uncovered directions are filled by the integrator, so that the result does not depend on the order of rays.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
+use std::sync::Arc;
 
 use super::blend::{BlendRule, View};
-use super::candidates::{Candidate, Lookers};
+use super::candidates::{Candidate, Lookers, pixel_size};
 use super::effects::{EffectCache, PARTS, Texel};
 use super::guide::{Distant, Emitter, Emitters, Guide, Receiver, Regions, Sky, bright_regions, bright_triangles};
+use super::path::{First, Path, PathSettings};
 use super::probe::{PlacedProbe, Surroundings};
 use super::punctual::Punctual;
 use super::surface_light::SurfaceLight;
-use super::{MOST_SURVIVAL, PathContext, Radiance, RadianceFunction, Seen};
-use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
+use super::unseen::{Agreement, Compared, Unseen, UnseenChoice, curve_of};
+use super::{Audit, MOST_SURVIVAL, PathContext, Radiance, RadianceFunction, Seen, number_of_place};
+use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams, uniform_sphere};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Scattered, Surfaces, counts_before, search_limit};
 
@@ -80,6 +84,9 @@ pub struct GdiblSettings {
     pub seed: u64,
     /// Directions that will leave nodes, all together, about: what they ask for again and again is remembered. 0: nothing is.
     pub directions: u64,
+    /// A probe counts where its pixel covers a square of at most this edge on the surface, metres; about the spacing of nodes,
+    /// which tell no more. Infinity: it counts wherever it sees.
+    pub coarsest: f32,
 }
 
 impl Default for GdiblSettings {
@@ -91,6 +98,7 @@ impl Default for GdiblSettings {
             walks: 64,
             seed: 0,
             directions: 0,
+            coarsest: f32::INFINITY,
         }
     }
 }
@@ -115,6 +123,19 @@ struct Walk {
     objects: u32,
     /// Which texels of effects it may read.
     texels: Texels,
+    source: Source,
+}
+
+/// Where the light of environment geometry comes from.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+enum Source {
+    /// Probes, and what stands in for them.
+    #[default]
+    Probes,
+    /// Paths everywhere: an audit.
+    Paths,
+    /// Probes without this one: an audit.
+    Without(u32),
 }
 
 /// Texels of effects that a walk may read.
@@ -139,6 +160,18 @@ const TO_BRIGHT: u32 = 2;
 const TO_OBJECTS: u32 = 3;
 /// Which random number of its own chooses a side of what lets light through diffusely.
 const SIDE: u32 = 0;
+/// Random numbers of paths where no probe counts come after those of the walks before them, so many for each step.
+const PATHS: u32 = 256;
+const PAIRS_PER_PATH: u32 = 1024;
+
+/// Places of nodes, and rays that leave them, which find surfaces where probes and paths are compared.
+const LOOKS: u32 = 2048;
+/// Light past all surfaces is none if it is less than this share of what surfaces show.
+const DARK: f32 = 1e-3;
+/// Surface points at most, and paths of each: so many that all are a 64th of the bake's directions, within these.
+const MOST_POINTS: usize = 1024;
+const PATHS_PER_POINT: [u64; 2] = [6, 96];
+
 /// Share of the rays from an object to a wall that look for other objects' effects there.
 const SECOND: f32 = 0.25;
 /// Triangles of scene geometry toward which directions are drawn, at most: they are kept a second time.
@@ -156,8 +189,14 @@ impl Walk {
 pub struct Gdibl<'a> {
     scene: &'a Scene,
     frame: Frame,
-    environment: Option<Surfaces>,
+    environment: Option<Arc<Surfaces>>,
     objects: Option<Surfaces>,
+    /// Trace units; see [`GdiblSettings::coarsest`].
+    coarsest: f32,
+    distant: Option<&'a Distant>,
+    unseen: UnseenChoice,
+    /// `None`: where no probe counts nothing is known.
+    tracer: Option<Tracer<'a>>,
     probes: &'a [Probe],
     placed: Vec<PlacedProbe>,
     /// All probes, and whether each sees all of the environment whole, as far as that can be proven.
@@ -172,6 +211,18 @@ pub struct Gdibl<'a> {
     targets: Option<Emitters>,
     /// `None` where no ray will ask.
     surface_light: Option<SurfaceLight>,
+}
+
+/// Paths for where no probe counts.
+#[derive(Debug)]
+struct Tracer<'a> {
+    path: Path<'a>,
+    /// Brings light to the probes' scale.
+    gain: Vec3,
+    /// No probe shows light past all surfaces, and there is no distant panorama: what escapes is black.
+    dark_outside: bool,
+    /// Of triangles of environment and of scene geometry, among all; `None` where there is environment alone.
+    numbers: Option<[Vec<u32>; 2]>,
 }
 
 /// What a ray meets.
@@ -201,8 +252,9 @@ impl<'a> Gdibl<'a> {
     ) -> Gdibl<'a> {
         let frame = Frame::of_scene(scene);
         let placed: Vec<PlacedProbe> = probes.iter().map(|probe| PlacedProbe::new(probe, &frame)).collect();
-        let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame);
+        let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame).map(Arc::new);
         let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
+        let coarsest = (f64::from(settings.coarsest) * frame.scale) as f32;
         let positions: Vec<Vec3> = placed.iter().map(|probe| probe.position).collect();
         let sees_all = environment.as_ref().map_or_else(Vec::new, |surfaces| surfaces.seen_whole_from(&positions));
         let all: Vec<Candidate> =
@@ -214,10 +266,11 @@ impl<'a> Gdibl<'a> {
         let targets = objects.as_ref().filter(|objects| effects.is_some() && objects.len() <= MOST_DRAWN);
         let targets = targets.and_then(|objects| Emitters::new(targets_of(scene, objects)));
         let surface_light = environment.as_ref().filter(|_| settings.directions > 0).map(|environment| {
-            let lookers = Lookers { scene, environment, probes: &placed, blend: settings.blend };
+            let lookers = Lookers { scene, environment, probes: &placed, blend: settings.blend, coarsest };
             SurfaceLight::new(&lookers, &all, settings.directions)
         });
-        let mut emitters = bright_triangles(scene, &environment.iter().chain(&objects).collect::<Vec<_>>());
+        let mut emitters =
+            bright_triangles(scene, &environment.as_deref().into_iter().chain(&objects).collect::<Vec<_>>());
         let is_emissive = emitters.iter().any(|own| !own.is_empty());
         let mut regions = Regions::default();
         if let Some(environment) = &environment {
@@ -236,6 +289,10 @@ impl<'a> Gdibl<'a> {
             frame,
             environment,
             objects,
+            coarsest,
+            distant,
+            unseen: UnseenChoice::fill("not chosen"),
+            tracer: None,
             probes,
             placed,
             all,
@@ -275,6 +332,135 @@ impl<'a> Gdibl<'a> {
         self.settings.blend
     }
 
+    /// What is done where no probe counts; nothing until [`Gdibl::choose_unseen`] is called.
+    pub fn unseen(&self) -> &UnseenChoice {
+        &self.unseen
+    }
+
+    /// Chooses what is done where no probe counts. `places`: nodes, world metres; some of them are looked from. Deterministic; paths
+    /// for a comparison are a 64th of [`GdiblSettings::directions`], and some thousands; more where these are too noisy.
+    pub fn choose_unseen(&mut self, unseen: Unseen, places: &[DVec3]) -> &UnseenChoice {
+        self.tracer = None;
+        let (choice, tracer) = self.weigh_unseen(unseen, places);
+        self.unseen = choice;
+        self.tracer = tracer;
+        &self.unseen
+    }
+
+    fn weigh_unseen(&self, unseen: Unseen, places: &[DVec3]) -> (UnseenChoice, Option<Tracer<'a>>) {
+        let mut choice = UnseenChoice::fill("no environment geometry");
+        let leave = |choice: UnseenChoice, why: &str| (UnseenChoice { why: why.into(), ..choice }, None);
+        let Some(environment) = &self.environment else { return (choice, None) };
+        let (met, seen) = self.look_around(places);
+        choice.unseen_share = if met > 0 { 1.0 - seen.len() as f64 / met as f64 } else { 0.0 };
+        if self.scene.materials_left_out {
+            let why = "the level's materials were not read: paths need all textures (TextureNeeds::All)";
+            return leave(choice, why);
+        }
+        let all = match &self.objects {
+            None => Some(environment.clone()),
+            Some(_) => Surfaces::new(self.scene, |_| true, &self.frame).map(Arc::new),
+        };
+        let numbers = self.objects.as_ref().zip(all.as_deref());
+        let numbers = numbers.map(|(objects, all)| [environment.as_ref(), objects].map(|own| own.numbers_among(all)));
+        let path = Path::over(all, self.scene, self.distant, PathSettings::default());
+        let is_lit = path.guide().to_sky() || path.guide().emissive_count() > 0 || !self.scene.lights.is_empty();
+        if !is_lit {
+            return leave(choice, "the level has no light of its own: no emission, no lamp, no distant panorama");
+        }
+        let dark_outside = self.sky.is_none() && self.is_dark_outside(places, &seen);
+        let tracer = Tracer { path, gain: Vec3::ONE, dark_outside, numbers };
+        let seen = &seen[..seen.len().min(MOST_POINTS)];
+        choice.points = seen.len() as u64;
+        // More paths where noise hides what is asked for.
+        let usual = self.settings.directions / 64 / seen.len().max(1) as u64;
+        let mut paths = usual.clamp(PATHS_PER_POINT[0], PATHS_PER_POINT[1]);
+        let agreement = loop {
+            let agreement = Agreement::of(self.compare(&tracer, seen, paths as u32));
+            paths *= 4;
+            if paths > PATHS_PER_POINT[1] || agreement.is_none_or(|agreement| !agreement.is_drowned()) {
+                break agreement;
+            }
+        };
+        let Some(agreement) = agreement else {
+            let why = "too few surface points are lit both in probes and by the level's own lights to compare them";
+            choice.traced = unseen == Unseen::Trace;
+            return (UnseenChoice { why: why.into(), ..choice }, choice.traced.then_some(tracer));
+        };
+        let [median, upper] = agreement.quartiles;
+        choice.agreement = Some(median);
+        choice.trusted = agreement.is_trusted();
+        choice.traced = unseen == Unseen::Trace || (unseen == Unseen::Auto && choice.trusted);
+        choice.gain = agreement.gain.to_array();
+        choice.why = match agreement.is_drowned() {
+            true => "paths are too noisy to tell whether the level's materials explain what probes show".into(),
+            false => format!(
+                "probes and paths by the level's materials differ by {:.1} % beside noise (median; a quarter by more than {:.0} %)",
+                100.0 * median,
+                100.0 * upper
+            ),
+        };
+        let tracer = (choice.traced || choice.trusted).then(|| Tracer { gain: agreement.gain, ..tracer });
+        (choice, tracer)
+    }
+
+    /// How many surface points rays from these places meet, and those of them that probes count at, with what they show.
+    fn look_around(&self, places: &[DVec3]) -> (usize, Vec<(Hit, Vec3)>) {
+        let environment = self.environment.as_ref().expect("asked only with one");
+        if places.is_empty() {
+            return (0, Vec::new());
+        }
+        let stream = Stream::new(Sampler::Sobol, self.settings.seed, streams::AGREEMENT, 0);
+        let look = |number: u32| {
+            let place = places[(u64::from(number) * places.len() as u64 / u64::from(LOOKS)) as usize];
+            let origin = self.frame.to_trace(place);
+            let direction = uniform_sphere(stream.point(number, 0));
+            let hit = environment.shown(self.scene, origin, direction, f32::INFINITY)?;
+            // Who sees backs stands in a solid.
+            if hit.back && !environment.material(self.scene, hit.triangle).double_sided {
+                return None;
+            }
+            let mut context = PathContext::new(stream);
+            context.sample = number;
+            let mut shown = self.environment_radiance(&hit, origin, &mut context);
+            shown.value += self.effect(&hit, Walk::default(), &mut context);
+            Some((hit, shown))
+        };
+        let met: Vec<(Hit, Radiance)> = (0..LOOKS).into_par_iter().filter_map(look).collect();
+        let seen = met.iter().filter(|(_, shown)| shown.coverage == 1.0);
+        (met.len(), seen.map(|(hit, shown)| (*hit, shown.value)).collect())
+    }
+
+    /// Probes show next to no light where they look past all surfaces.
+    fn is_dark_outside(&self, places: &[DVec3], seen: &[(Hit, Vec3)]) -> bool {
+        let stream = Stream::new(Sampler::Sobol, self.settings.seed, streams::AGREEMENT, 0);
+        let mut context = PathContext::new(stream);
+        let shown =
+            (0..LOOKS).map(|number| self.escaping_radiance(uniform_sphere(stream.point(number, 0)), &mut context));
+        let outside: f32 = shown.map(|light| light.value.element_sum()).sum();
+        let inside: f32 = seen.iter().map(|(_, light)| light.element_sum()).sum();
+        !places.is_empty() && outside <= DARK * inside
+    }
+
+    /// The same points by paths, so many each.
+    fn compare(&self, tracer: &Tracer, seen: &[(Hit, Vec3)], paths: u32) -> Vec<Compared> {
+        let environment = self.environment.as_ref().expect("asked only with one");
+        let point = |(number, (hit, shown)): (usize, &(Hit, Vec3))| {
+            let node = streams::AGREEMENT | (number as u64 + 1);
+            let mut context = PathContext::new(Stream::new(Sampler::Sobol, self.settings.seed, node, 0));
+            let triangle = tracer.numbers.as_ref().map_or(hit.triangle, |numbers| numbers[0][hit.triangle as usize]);
+            let mut traced = Vec3::ZERO;
+            for sample in 0..paths {
+                context.sample = sample;
+                traced += tracer.path.light(-hit.normal, First::of(Hit { triangle, ..*hit }), &mut context);
+            }
+            let place = (hit.position / self.frame.half.max(Vec3::splat(f32::MIN_POSITIVE)) + 1.0) / 2.0;
+            let order = (environment.mesh(self.scene, hit.triangle).material, curve_of(place));
+            Compared { order, shown: *shown, traced: traced / paths as f32 }
+        };
+        seen.par_iter().enumerate().map(point).collect()
+    }
+
     /// Triangles whose light is remembered.
     pub fn remembered_count(&self) -> usize {
         let light = self.surface_light.as_ref().filter(|_| self.settings.blend.is_seamless());
@@ -290,13 +476,22 @@ impl<'a> Gdibl<'a> {
         self.sum_along(origin, direction, context, |met, context| match met {
             Met::Object(hit) => self.object_radiance(&hit, walk, context),
             Met::Environment(hit) => {
-                let mut part = self.environment_radiance(&hit, origin, context);
-                part.value += self.effect(&hit, walk, context) * part.coverage;
+                let mut part = match (walk.source, &self.tracer) {
+                    (Source::Paths, Some(tracer)) => {
+                        return self.traced(tracer, Role::Environment, &hit, origin, walk, context);
+                    }
+                    (Source::Without(probe), _) => self.radiance_without(probe, &hit, origin, context),
+                    _ => self.environment_radiance(&hit, origin, context),
+                };
+                if let Some(traced) = self.traced_instead(part, &hit, origin, walk, context) {
+                    return traced;
+                }
+                part.value += self.effect(&hit, walk, context) * part.told();
                 part
             }
             Met::Nothing => match &self.sky {
                 Some(sky) if walk.step == 0 => Radiance::covered(sky.radiance_at_node(direction)),
-                _ => self.escaping_radiance(direction, context),
+                _ => self.escaping_or_dark(direction, context),
             },
         })
     }
@@ -336,6 +531,7 @@ impl<'a> Gdibl<'a> {
                 let part = radiance(met, context);
                 sum.value += part.value * tint * (left * opacity);
                 sum.coverage += part.coverage * (left * opacity);
+                sum.guessed += part.guessed * (left * opacity);
             }
             left *= 1.0 - opacity;
             if left < CLEAR_ENOUGH {
@@ -366,7 +562,12 @@ impl<'a> Gdibl<'a> {
         }
         if walk.objects >= limit {
             // What it reflects is unknown, not black: so nodes inside a solid are invalid instead of dark.
-            return Radiance { value: emission, coverage: 0.0 };
+            return match &self.tracer {
+                Some(tracer) if self.unseen.traced => {
+                    self.traced(tracer, Role::Scene, hit, hit.position + hit.normal, walk, context)
+                }
+                _ => Radiance { value: emission, ..Radiance::UNCOVERED },
+            };
         }
         // ∫ albedo/π · L · cosθ dω with density cosθ/π: albedo × L of one direction.
         let first = walk.objects == 0;
@@ -379,7 +580,7 @@ impl<'a> Gdibl<'a> {
         if first && let Some((direction, weight)) = self.toward_light(start, hit.normal, walk, context) {
             value += albedo * self.radiance_along(start, direction, walk, context).value * weight;
         }
-        Radiance { value, coverage: arriving.coverage }
+        Radiance { value, ..arriving }
     }
 
     /// Next-event estimation: a direction from a surface toward what is bright, and the weight of its light,
@@ -402,39 +603,104 @@ impl<'a> Gdibl<'a> {
     /// 3. Environment geometry: what it sends out itself, if that is known, and what probes have seen of it.
     fn environment_radiance(&self, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
         let environment = self.environment.as_ref().expect("the environment was hit");
-        let lookers = Lookers { scene: self.scene, environment, probes: &self.placed, blend: self.settings.blend };
+        let lookers = Lookers {
+            scene: self.scene,
+            environment,
+            probes: &self.placed,
+            blend: self.settings.blend,
+            coarsest: self.coarsest,
+        };
         let light = self.surface_light.as_ref();
         let spot = light.and_then(|light| light.at(hit, &lookers, &self.all, &mut context.rays));
         let candidates = spot.map_or(&self.all[..], |spot| spot.candidates());
-        let find = |place: &Hit, context: &mut PathContext| self.blended_radiance(candidates, place, viewer, context);
+        let find =
+            |place: &Hit, context: &mut PathContext| self.blended_by(candidates, &self.all, place, viewer, context);
         let remembered = spot.and_then(|spot| spot.remembered(environment, hit, context, find));
-        let mut seen = remembered.unwrap_or_else(|| find(hit, context));
-        if self.settings.emission_from_materials {
+        let seen = remembered.unwrap_or_else(|| find(hit, context));
+        self.with_emission(seen, hit)
+    }
+
+    fn with_emission(&self, mut seen: Radiance, hit: &Hit) -> Radiance {
+        if let Some(environment) = self.environment.as_ref().filter(|_| self.settings.emission_from_materials) {
             seen.value += environment.emission(self.scene, hit);
         }
         seen
     }
 
-    /// Those of the candidates that see the point lend their pixels.
-    fn blended_radiance(
+    /// Environment geometry by all probes but one.
+    fn radiance_without(&self, probe: u32, hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Radiance {
+        let others: Vec<Candidate> = self.all.iter().copied().filter(|candidate| candidate.probe != probe).collect();
+        self.with_emission(self.blended_by(&others, &others, hit, viewer, context), hit)
+    }
+
+    /// 5. Light by paths, where a surface is met that no probe counts at and materials are trusted; else `None`.
+    fn traced_instead(
+        &self,
+        shown: Radiance,
+        hit: &Hit,
+        from: Vec3,
+        walk: Walk,
+        context: &mut PathContext,
+    ) -> Option<Radiance> {
+        let tracer = self.tracer.as_ref().filter(|_| shown.coverage == 0.0 && self.unseen.traced)?;
+        Some(self.traced(tracer, Role::Environment, hit, from, walk, context))
+    }
+
+    /// Light that a path finds to leave a surface, `hit` among those of its role. To let it end where it meets a surface that probes
+    /// count at, and take their light, was no gain: a living room had 3 % less noise for 10 % more rays, lines of sight.
+    fn traced(
+        &self,
+        tracer: &Tracer,
+        role: Role,
+        hit: &Hit,
+        from: Vec3,
+        walk: Walk,
+        context: &mut PathContext,
+    ) -> Radiance {
+        let triangle = match &tracer.numbers {
+            Some(numbers) => numbers[usize::from(role == Role::Scene)][hit.triangle as usize],
+            None => hit.triangle,
+        };
+        let direction = (hit.position - from).normalize_or(-hit.normal);
+        let pairs = PATHS + walk.step * PAIRS_PER_PATH;
+        let light = tracer.path.light_by(direction, First::of(Hit { triangle, ..*hit }), pairs, context);
+        Radiance::covered(light * tracer.gain)
+    }
+
+    /// Those of the candidates, some of `all`, that see the point lend their pixels. A guess where none sees it finely enough.
+    fn blended_by(
         &self,
         candidates: &[Candidate],
+        all: &[Candidate],
         hit: &Hit,
         viewer: Vec3,
         context: &mut PathContext,
     ) -> Radiance {
+        let is_all = candidates.len() == all.len();
         // Others were left out for the sake of probes that see the point.
-        self.blend(candidates, hit, viewer, context).unwrap_or_else(|| {
-            let by_all = self.blend(&self.all, hit, viewer, context);
+        let fine = self.blend(candidates, is_all, self.coarsest, hit, viewer, context).unwrap_or_else(|| {
+            let by_all = self.blend(all, true, self.coarsest, hit, viewer, context);
             by_all.expect("nobody is left out")
-        })
+        });
+        if fine.coverage > 0.0 || self.coarsest == f32::INFINITY {
+            return fine;
+        }
+        let coarse = self.blend(all, true, f32::INFINITY, hit, viewer, context).expect("nobody is left out");
+        Radiance { coverage: 0.0, guessed: coarse.coverage, ..coarse }
     }
 
     /// Radiance by these probes. `None` where one that sees the point has no pixel that shows it, and others may have been left
     /// out.
-    fn blend(&self, candidates: &[Candidate], hit: &Hit, viewer: Vec3, context: &mut PathContext) -> Option<Radiance> {
+    fn blend(
+        &self,
+        candidates: &[Candidate],
+        is_all: bool,
+        coarsest: f32,
+        hit: &Hit,
+        viewer: Vec3,
+        context: &mut PathContext,
+    ) -> Option<Radiance> {
         let environment = self.environment.as_ref().expect("the environment was hit");
-        let is_all = candidates.len() == self.all.len();
         let scratch = &mut context.scratch;
         // Candidates stand on the side from which the ray came.
         scratch.candidates.clear();
@@ -444,8 +710,8 @@ impl<'a> Gdibl<'a> {
             let probe = &self.placed[candidate.probe as usize];
             let to_probe = probe.position - hit.position;
             let height = hit.normal.dot(to_probe);
-            if height > 0.0 {
-                let distance = to_probe.length();
+            let distance = to_probe.length();
+            if height > 0.0 && pixel_size(probe.pixels, height, distance) <= coarsest {
                 let view = View {
                     distance,
                     cosine: height / distance,
@@ -667,7 +933,14 @@ impl<'a> Gdibl<'a> {
             None => self.escaping_radiance(direction, context),
         };
         // Where one of the two is unknown, so is the difference.
-        (with.value - without.value, object.opacity * with.coverage.min(without.coverage))
+        (with.value - without.value, object.opacity * with.told().min(without.told()))
+    }
+
+    /// What escapes, where no probe looks out the same way: as paths have it.
+    fn escaping_or_dark(&self, direction: Vec3, context: &mut PathContext) -> Radiance {
+        let escaping = self.escaping_radiance(direction, context);
+        let is_dark = self.unseen.traced && self.tracer.as_ref().is_some_and(|tracer| tracer.dark_outside);
+        if escaping.coverage == 0.0 && is_dark { Radiance::covered(Vec3::ZERO) } else { escaping }
     }
 
     /// 4. Nothing hit: the distant panorama, or else the probes that look out in the same direction.
@@ -730,7 +1003,7 @@ impl RadianceFunction for Gdibl<'_> {
     }
 
     fn level(&self) -> Level<'_> {
-        Level::new(self.scene, [self.environment.as_ref(), self.objects.as_ref()])
+        Level::new(self.scene, [self.environment.as_deref(), self.objects.as_ref()])
     }
 
     fn guide(&self) -> &Guide {
@@ -740,6 +1013,25 @@ impl RadianceFunction for Gdibl<'_> {
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
         context.reach = None;
         self.radiance_along(origin, direction, Walk::default(), context)
+    }
+
+    /// By paths at every other place, where materials are trusted. Else without one of the probes, the same for all directions of a
+    /// place: the jackknife, in
+    /// which the variance of what n probes say is (n - 1) times the mean square of what one more or less makes of it (Efron and
+    /// Stein, "The jackknife estimate of variance", 1981).
+    fn audit(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Option<Audit> {
+        let place = number_of_place(origin);
+        let others = self.probes.len().saturating_sub(1);
+        let by_paths = self.tracer.is_some() && self.unseen.trusted && (others == 0 || place % 2 == 0);
+        let (source, weight) = match (by_paths, others) {
+            (true, _) => (Source::Paths, 1.0),
+            (false, 0) => return None,
+            (false, _) => (Source::Without(place / 2 % self.probes.len() as u32), (others as f32).sqrt()),
+        };
+        let arriving = self.radiance_along(origin, direction, Walk { source, ..Walk::default() }, context);
+        // What one probe alone has seen, the others cannot judge.
+        let is_told = source == Source::Paths || arriving.coverage > 1.0 - CLEAR_ENOUGH;
+        is_told.then_some(Audit { arriving, weight, by_probes: !by_paths })
     }
 
     fn look(
@@ -758,21 +1050,24 @@ impl RadianceFunction for Gdibl<'_> {
             }
             Met::Environment(hit) => {
                 let mut part = self.environment_radiance(&hit, origin, context);
+                if let Some(traced) = self.traced_instead(part, &hit, origin, walk, context) {
+                    return traced;
+                }
                 // The point's own walk: texels, good enough for what comes by way of another surface, would be seen.
                 if self.effects.is_some() {
                     let walk = Walk { texels: Texels::None, ..walk };
-                    part.value += self.effect_of_objects(&hit, walk, context) * part.coverage;
+                    part.value += self.effect_of_objects(&hit, walk, context) * part.told();
                 }
                 part
             }
-            Met::Nothing => self.escaping_radiance(direction, context),
+            Met::Nothing => self.escaping_or_dark(direction, context),
         })
     }
 
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {
         for arriving in self.punctual.arriving(origin) {
             let mut clear = Vec3::ONE;
-            for surfaces in self.environment.iter().chain(&self.objects) {
+            for surfaces in self.environment.as_deref().into_iter().chain(&self.objects) {
                 context.rays += 1;
                 clear *= match arriving.position {
                     Some(position) => surfaces.transmittance(self.scene, origin, position, None),

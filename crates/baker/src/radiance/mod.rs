@@ -10,6 +10,7 @@ mod probe;
 mod punctual;
 mod seen;
 mod surface_light;
+pub mod unseen;
 
 use glam::Vec3;
 
@@ -36,6 +37,13 @@ pub trait RadianceFunction: Sync {
     /// has chosen the direction; the function takes its own from the later ones.
     fn radiance(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance;
 
+    /// The same light told in another way, so that the difference tells how wrong [`RadianceFunction::radiance`] is beside noise:
+    /// on average over directions, by the same random numbers. Called right after it for a random share of the directions. `None`:
+    /// nothing is wrong beside noise, or nothing can be said.
+    fn audit(&self, _origin: Vec3, _direction: Vec3, _context: &mut PathContext) -> Option<Audit> {
+        None
+    }
+
     /// The same for a ray of a camera. `shade` is asked first about every surface that the ray meets, as far as light is
     /// computed there: not about environment geometry that shows its probes. Where it has no answer, the function has, by the
     /// shading normal of that surface. Unless the function says otherwise nothing is shaded, and a camera sees what nodes do.
@@ -54,23 +62,42 @@ pub trait RadianceFunction: Sync {
     fn punctual(&self, _origin: Vec3, _context: &mut PathContext, _add: impl FnMut(Vec3, Vec3)) {}
 }
 
+/// What an audit of a direction found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Audit {
+    /// Light along the same ray.
+    pub arriving: Radiance,
+    /// What the difference counts.
+    pub weight: f32,
+    /// Other probes told it, with little noise; else paths, which know the truth.
+    pub by_probes: bool,
+}
+
 /// Radiance that arrives along a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Radiance {
     /// Linear Rec.709, from the covered share of the ray alone.
     pub value: Vec3,
-    /// Share of the ray (0..=1; partly clear surfaces divide it) whose origin some probe, the distant panorama or
-    /// a light has told. The rest is *uncovered*: the integrator fills it.
+    /// Share of the ray (0..=1; partly clear surfaces divide it) whose origin some probe, the distant panorama, a light or
+    /// a path has told.
     pub coverage: f32,
+    /// Share of the ray that probes show too coarsely to count: their light is a guess. What is neither covered nor guessed is
+    /// *uncovered*: the integrator fills it.
+    pub guessed: f32,
 }
 
 impl Radiance {
     /// Nothing is known.
-    pub const UNCOVERED: Radiance = Radiance { value: Vec3::ZERO, coverage: 0.0 };
+    pub const UNCOVERED: Radiance = Radiance { value: Vec3::ZERO, coverage: 0.0, guessed: 0.0 };
 
     /// Known in full.
     pub fn covered(value: Vec3) -> Radiance {
-        Radiance { value, coverage: 1.0 }
+        Radiance { value, coverage: 1.0, guessed: 0.0 }
+    }
+
+    /// Share of the ray that has a value, 0..=1.
+    pub fn told(&self) -> f32 {
+        self.coverage + self.guessed
     }
 }
 
@@ -81,6 +108,13 @@ pub(crate) const SOLID_BACKS: f64 = 0.25;
 /// No walk goes on with a greater probability than this: where surfaces take no light and none escapes, it would never end.
 /// What goes on has the weight of what does not, so this leaves no light out.
 pub(crate) const MOST_SURVIVAL: f32 = 0.999;
+
+/// A number that is random from place to place and the same at one.
+pub(crate) fn number_of_place(place: Vec3) -> u32 {
+    // 2^64 over the golden ratio mixes the digits.
+    let mix = |sum: u64, digits: u32| (sum ^ u64::from(digits)).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_right(29);
+    (place.to_array().map(f32::to_bits).into_iter().fold(1, mix) >> 32) as u32
+}
 
 /// What one worker carries from ray to ray: random points, scratch memory, counts.
 #[derive(Debug)]

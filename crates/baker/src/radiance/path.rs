@@ -12,6 +12,7 @@
 
 use glam::{Vec2, Vec3};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use super::guide::{Distant, Guide, Receiver, Sky, bright_triangles, solid_angle_density};
 use super::punctual::{Arriving, Punctual};
@@ -46,6 +47,13 @@ pub struct First {
     pub tint: Vec3,
 }
 
+impl First {
+    /// A surface that a ray met at once.
+    pub fn of(hit: Hit) -> First {
+        First { hit: Some(hit), tint: Vec3::ONE }
+    }
+}
+
 /// From this surface on a walk may end by roulette.
 const ROULETTE_FROM: u32 = 2;
 /// Pairs of random numbers of one surface; those of the node or pixel come first.
@@ -56,7 +64,7 @@ const PAIRS: u32 = 4;
 pub struct Path<'a> {
     scene: &'a Scene,
     frame: Frame,
-    surfaces: Option<Surfaces>,
+    surfaces: Option<Arc<Surfaces>>,
     sky: Option<Sky<'a>>,
     guide: Guide,
     /// Which emitter each triangle is; `u32::MAX`: none that is drawn.
@@ -71,7 +79,19 @@ impl<'a> Path<'a> {
     pub fn new(scene: &'a Scene, distant: Option<&'a Distant>, settings: PathSettings) -> Path<'a> {
         let frame = Frame::of_scene(scene);
         let surfaces = Surfaces::new(scene, |mesh| settings.scene_geometry || mesh.role == Role::Environment, &frame);
-        let bright = surfaces.iter().flat_map(|surfaces| bright_triangles(scene, &[surfaces])).flatten();
+        Path::over(surfaces.map(Arc::new), scene, distant, settings)
+    }
+
+    /// Over surfaces of the scene that are there already, in the frame of all of it.
+    pub(super) fn over(
+        surfaces: Option<Arc<Surfaces>>,
+        scene: &'a Scene,
+        distant: Option<&'a Distant>,
+        settings: PathSettings,
+    ) -> Path<'a> {
+        let frame = Frame::of_scene(scene);
+        let bright =
+            surfaces.as_deref().into_iter().flat_map(|surfaces| bright_triangles(scene, &[surfaces])).flatten();
         let guide = Guide::new(distant, bright.collect());
         let emitters = match (guide.emitters(), &surfaces) {
             (Some(emitters), Some(surfaces)) => emitters.numbers(surfaces),
@@ -96,7 +116,7 @@ impl<'a> Path<'a> {
 
     /// What is traced.
     pub(crate) fn surfaces(&self) -> Option<&Surfaces> {
-        self.surfaces.as_ref()
+        self.surfaces.as_deref()
     }
 
     /// The nearest surface along a ray (trace space) that shows itself: what lets half through or more does not.
@@ -107,7 +127,7 @@ impl<'a> Path<'a> {
     /// The hit is on the back of a single-sided triangle: who sees it stands in a solid, or outside of the level.
     pub fn is_inside(&self, hit: &Hit) -> bool {
         let material = |surfaces: &Surfaces| surfaces.material(self.scene, hit.triangle).double_sided;
-        hit.back && !self.surfaces.as_ref().is_some_and(material)
+        hit.back && !self.surfaces.as_deref().is_some_and(material)
     }
 
     /// Something of the light that leaves a surface point reaches `place` (trace space).
@@ -131,13 +151,18 @@ impl<'a> Path<'a> {
 
     /// Light along a ray in the unit `direction` that first met `first`, [`Path::emission`] included.
     pub fn light(&self, direction: Vec3, first: First, context: &mut PathContext) -> Vec3 {
+        self.light_by(direction, first, 0, context)
+    }
+
+    /// The same by random numbers behind the first `pairs`.
+    pub(super) fn light_by(&self, direction: Vec3, first: First, pairs: u32, context: &mut PathContext) -> Vec3 {
         let mut light = Vec3::ZERO;
         let mut throughput = first.tint;
         let (mut met, mut direction) = (first.hit, direction);
         // The surface that was left, and the density of the direction there; the first ray was paid for by who sent it.
         let mut left: Option<(Receiver, f32)> = None;
         for bounce in 0.. {
-            let pair = 1 + PAIRS * bounce;
+            let pair = pairs + 1 + PAIRS * bounce;
             let Some(hit) = met else {
                 let sky = self.sky.as_ref().map_or(Vec3::ZERO, |sky| sky.radiance(direction));
                 let drawn = || self.guide.sky().map_or(0.0, |sky| sky.density(direction));
@@ -322,7 +347,7 @@ impl RadianceFunction for Path<'_> {
     }
 
     fn level(&self) -> Level<'_> {
-        Level::new(self.scene, [self.surfaces.as_ref(), None])
+        Level::new(self.scene, [self.surfaces.as_deref(), None])
     }
 
     fn guide(&self) -> &Guide {

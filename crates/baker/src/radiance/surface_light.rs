@@ -67,13 +67,15 @@ struct Patch {
 }
 
 /// Radiance found once and read by all, in one word: nothing (0), uncovered (1), or red, green and blue in units of a common
-/// power of two, and that power.
+/// power of two, that power, and whether it is a guess.
 #[derive(Debug, Default)]
 struct Knot(AtomicU64);
 
 /// Binary digits of each channel: the greatest is off by at most 2^-18 of itself, and the others by as much.
 const DIGITS: u32 = 18;
 const UNCOVERED: u64 = 1;
+/// Behind three channels and the power's 8 digits.
+const GUESSED: u64 = 1 << (3 * DIGITS + 8);
 
 /// Where a hit lies.
 #[derive(Debug, Clone, Copy)]
@@ -167,8 +169,8 @@ impl Knot {
 }
 
 fn pack(radiance: Radiance) -> u64 {
-    debug_assert!(radiance.coverage == 0.0 || radiance.coverage == 1.0, "a surface point is seen or it is not");
-    if radiance.coverage == 0.0 {
+    debug_assert!([0.0, 1.0].contains(&radiance.told()), "a surface point is seen or it is not");
+    if radiance.told() == 0.0 {
         return UNCOVERED;
     }
     let value = radiance.value.clamp(Vec3::ZERO, Vec3::MAX);
@@ -180,15 +182,18 @@ fn pack(radiance: Radiance) -> u64 {
         | channel(value.y) << DIGITS
         | channel(value.z) << (2 * DIGITS)
         | u64::from(exponent) << (3 * DIGITS)
+        | if radiance.guessed > 0.0 { GUESSED } else { 0 }
 }
 
 fn unpack(word: u64) -> Radiance {
     if word == UNCOVERED {
         return Radiance::UNCOVERED;
     }
-    let unit = f32::from_bits(((word >> (3 * DIGITS)) as u32) << 23);
+    let unit = f32::from_bits(((word >> (3 * DIGITS)) as u32 & 0xff) << 23);
     let channel = |number: u32| (word >> (number * DIGITS) & ((1 << DIGITS) - 1)) as f32;
-    Radiance::covered(Vec3::new(channel(0), channel(1), channel(2)) * unit)
+    let value = Vec3::new(channel(0), channel(1), channel(2)) * unit;
+    let guessed = if word & GUESSED != 0 { 1.0 } else { 0.0 };
+    Radiance { value, coverage: 1.0 - guessed, guessed }
 }
 
 impl<'a> Spot<'a> {
@@ -219,12 +224,12 @@ impl<'a> Spot<'a> {
         });
         let mean = (found[0].value + found[1].value + found[2].value) / 3.0;
         let agree = found.iter().all(|knot| {
-            knot.coverage == found[0].coverage
+            (knot.coverage, knot.guessed) == (found[0].coverage, found[0].guessed)
                 && (knot.value - mean).abs().max_element() <= AGREEMENT * mean.max_element()
         });
         agree.then(|| {
             let value = around.iter().zip(&found).fold(Vec3::ZERO, |sum, ((_, _, w), knot)| sum + knot.value * *w);
-            Radiance { value, coverage: found[0].coverage }
+            Radiance { value, ..found[0] }
         })
     }
 }

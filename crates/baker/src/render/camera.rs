@@ -28,6 +28,13 @@ pub enum Camera {
 const TOWARD_CORNER: DVec3 = DVec3::new(0.85, 0.5, 0.85);
 
 impl Camera {
+    /// Where it stands, world metres.
+    pub fn position(&self) -> DVec3 {
+        match self {
+            Camera::Pinhole { eye: position, .. } | Camera::Panorama { position } => *position,
+        }
+    }
+
     /// A pinhole in the corner of most x, y and z of a box, just inside, that looks at its middle.
     pub fn inside(min: DVec3, max: DVec3, vertical_fov_degrees: f64) -> Camera {
         let (target, half) = ((min + max) / 2.0, (max - min) / 2.0);

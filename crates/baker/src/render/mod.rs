@@ -148,14 +148,14 @@ impl<F: RadianceFunction> Renderer<'_, F> {
     fn shade(&self, view: View, seen: &Seen, context: &mut PathContext) -> Option<Radiance> {
         if let Some(color) = seen.mirror_color() {
             if view.mirrors == self.settings.depth {
-                return Some(Radiance { value: seen.emission(), coverage: 0.0 });
+                return Some(Radiance { value: seen.emission(), ..Radiance::UNCOVERED });
             }
             let view = View { mirrors: view.mirrors + 1, ..view };
             let stream = std::mem::replace(&mut context.stream, self.stream(view));
             let (start, direction) = seen.reflected();
             let arriving = self.look(view, start, direction, context);
             context.stream = stream;
-            return Some(Radiance { value: seen.emission() + color * arriving.value, coverage: arriving.coverage });
+            return Some(Radiance { value: seen.emission() + color * arriving.value, ..arriving });
         }
         let volume = self.volume.filter(|_| seen.role() == Role::Scene)?;
         let normal = seen.normal();

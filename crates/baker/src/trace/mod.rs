@@ -94,7 +94,7 @@ impl Frame {
 }
 
 /// Where a triangle of [`Surfaces`] came from.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Source {
     mesh: u32,
     triangle: u32,
@@ -164,6 +164,13 @@ impl Surfaces {
     /// Some material has holes or lets light through.
     pub fn any_clear(&self) -> bool {
         self.any_clear
+    }
+
+    /// The number of each triangle among `all`, surfaces of the same scene that hold all of these.
+    pub(crate) fn numbers_among(&self, all: &Surfaces) -> Vec<u32> {
+        let mut numbers = all.sources.iter().zip(0..);
+        let number = |own: &Source| numbers.find(|(source, _)| *source == own).expect("all hold it").1;
+        self.sources.iter().map(number).collect()
     }
 
     /// Nearest surface along the ray with `t_min < t < t_max`, holes skipped. Of faces back to back it is the one whose front

@@ -20,4 +20,5 @@ mod sight;
 mod sparse;
 mod statistics;
 mod sun;
+mod unseen;
 mod walls;

@@ -54,11 +54,13 @@ fn volume(light: &[RadianceSh]) -> Volume {
         walls: None,
         coverage: vec![1.0; PLACES],
         relative_error: vec![0.01; PLACES],
+        systematic_error: Vec::new(),
         worst_error: Vec::new(),
         coefficient_error: Vec::new(),
         rays: 0,
         samples: 0,
         missed: 0,
+        missed_by_systematic: 0,
         clamped: 0.0,
     };
     volume_of(&Nodes::Points(positions().into_iter().map(DVec3::from).collect()), &baked)

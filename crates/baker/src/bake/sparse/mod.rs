@@ -25,7 +25,7 @@ pub use cells::{grid_of_cells, levels_of};
 use occupied::occupied;
 
 use super::irradiance::{Irradiance, difference, irradiance_of, root_mean_square};
-use super::sample::Batch;
+use super::sample::{Batch, Scale};
 use super::standing::{Sites, Standing};
 use super::{BakeSettings, Baked, Nodes, SparseGrid, bake, finish};
 use crate::job::records::{ErrorSummary, SparseLevel, SparseRecord};
@@ -191,9 +191,9 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         }
         let first = self.known.len() as u32;
         self.known.extend(places.iter().zip(first..).map(|(place, slot)| (*place, slot)));
-        let median = self.batch.as_ref().map(|batch| batch.median);
+        let scale = self.batch.as_ref().map(|batch| batch.scale);
         let Refiner { nodes, function, settings, control, .. } = self;
-        let more = Batch::sample(nodes, places, median, *function, settings, control)?;
+        let more = Batch::sample(nodes, places, scale, *function, settings, control)?;
         match &mut self.batch {
             None => self.batch = Some(more),
             Some(batch) => batch.append(more),
@@ -319,7 +319,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
 
     /// By how many tolerances light is off what was baked at a slot, more than noise explains: `variance` is that of E in it.
     fn off_by(&self, slot: usize, light: &Irradiance, variance: f64) -> f64 {
-        let Batch { sampled, median, .. } = self.batch();
+        let Batch { sampled, scale: Scale { median, .. }, .. } = self.batch();
         let estimate = &sampled.estimates[slot];
         let off = root_mean_square(&difference(light, &irradiance_of(sampled.node(slot, self.settings))));
         let noise = NOISE * (variance + estimate.standard_error.powi(2));
@@ -420,16 +420,16 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         let untested = |leaf: &&Leaf| self.tests(cell_of(leaf)).is_empty();
         let places =
             Nodes::Points(levels.iter().flat_map(|(_, leaves)| leaves.iter().filter(untested).map(middle)).collect());
-        let median = self.batch().median;
+        let scale = self.batch().scale;
         let numbers = (0..places.len() as u32).collect();
-        let checks = Batch::sample(&places, numbers, Some(median), self.function, self.settings, self.control)?;
+        let checks = Batch::sample(&places, numbers, Some(scale), self.function, self.settings, self.control)?;
         baked.rays += checks.sites.rays + checks.sampled.rays;
         baked.samples += checks.sampled.samples;
 
         let error = |Batch { sites, sampled, .. }: &Batch, slot: usize, position: DVec3| {
             let light = irradiance_of(sampled.node(slot, self.settings));
             (sites.standing[slot] == Standing::Open)
-                .then(|| error_at(&volume, position.into(), &light, median))
+                .then(|| error_at(&volume, position.into(), &light, scale.median))
                 .flatten()
         };
         let mut checked = 0;

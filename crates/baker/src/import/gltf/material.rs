@@ -96,6 +96,12 @@ impl Draft {
         }
     }
 
+    /// Paths that are traced by the environment need more of the material than is read.
+    pub fn leaves_out(&self, textures: Textures) -> bool {
+        let needs = |textures| self.needs(Role::Environment, textures);
+        needs(textures) != needs(Textures { all: true, ..textures })
+    }
+
     /// A texture is asked for what is needed.
     fn needs_texture(&self, kind: Kind, needs: Needs) -> bool {
         let Needs { clear, reflected, emission } = needs;

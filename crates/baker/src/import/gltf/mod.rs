@@ -150,6 +150,8 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
             Role::Scene => used.scene = true,
         }
     }
+    let leaves_out = |(draft, used): (&Draft, &UsedBy)| used.environment && draft.leaves_out(textures);
+    let materials_left_out = drafts.iter().zip(&used).any(leaves_out);
     let allow = options.allow_missing_textures;
     let (materials, textures, maps) = material::finish(&buffers, drafts, &used, textures, allow, &mut findings)?;
     for mesh in &mut meshes {
@@ -161,8 +163,17 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
             }
         }
     }
-    let mut scene =
-        Scene { meshes, materials, textures, maps, lights, probe_markers, volume_markers, findings: Vec::new() };
+    let mut scene = Scene {
+        meshes,
+        materials,
+        textures,
+        maps,
+        materials_left_out,
+        lights,
+        probe_markers,
+        volume_markers,
+        findings: Vec::new(),
+    };
     if options.lumens_per_watt.is_none() {
         lights::compare_with_emitters(&scene, &mut findings);
     }

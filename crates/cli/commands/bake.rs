@@ -183,12 +183,16 @@ impl Stages {
 fn missed_text(made: &Made, config: &Config) -> Option<String> {
     let target = config.settings.quality.target_error.filter(|_| made.baked.missed > 0)?;
     Some(format!(
-        "{} of {} nodes missed the target error of {} % within {} samples; the volume was written",
+        "{} of {} nodes missed the target error of {} % within {} samples{}; the volume was written",
         made.baked.missed,
         made.nodes.len(),
         // Rounded: 1e-6 is 0.0001 %, and not 0.00009999999999999999 %.
         (target * 100.0) as f32,
-        config.settings.samples()
+        config.settings.samples(),
+        match made.baked.missed_by_systematic {
+            0 => String::new(),
+            nodes => format!(", {nodes} of them by their systematic error alone, which more samples do not lessen"),
+        }
     ))
 }
 
@@ -240,9 +244,10 @@ fn text(report: &Report, place: &Place, precision: Precision) -> String {
             report.cpu_seconds
         ),
         format!("  stages    {}", super::stages_text(&statistics.stages)),
-        format!("  error     {}", super::error_text(statistics)),
+        format!("  noise     {}", super::noise_text(statistics)),
     ];
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<9} {text}"));
+    super::systematic_text(statistics).into_iter().for_each(|text| row("bias", text));
     if !statistics.coverage.is_nan() {
         row("coverage", format!("{:.1} % of what the nodes see, some probe has seen", statistics.coverage * 100.0));
     }

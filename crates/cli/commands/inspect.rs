@@ -241,6 +241,7 @@ fn text(report: &Report, header: &Header) -> String {
             let text = format!("{median:.2} % median, {p95:.2} % 95th percentile, {max:.2} % worst");
             row("direction", format!("{text} (the same in the worst direction and channel)"));
         }
+        super::systematic_text(statistics).into_iter().for_each(|text| row("bias", text));
         row("work", format!("{rays:.1} M rays for {samples:.1} M directions"));
         if !statistics.stages.is_empty() {
             row("stages", super::stages_text(&statistics.stages));

@@ -12,8 +12,8 @@ pub mod sample;
 pub mod study;
 
 use gdibl_baker::job::records::{
-    DeringingRecord, PackingRecord, Record, SparseLevel, SparseRecord, StageRecord, StandingRecord, StatisticsRecord,
-    SunRecord, WallsRecord, decode,
+    DeringingRecord, ErrorSummary, PackingRecord, Record, SparseLevel, SparseRecord, StageRecord, StandingRecord,
+    StatisticsRecord, SunRecord, WallsRecord, decode,
 };
 use gdibl_runtime::format::{Directory, Limits};
 use std::path::Path;
@@ -106,15 +106,21 @@ fn stages_text(stages: &[StageRecord]) -> String {
     stages.iter().map(text).collect::<Vec<_>>().join(", ")
 }
 
-/// How sure the bake is, in words.
-fn error_text(statistics: &StatisticsRecord) -> String {
-    match statistics.relative_error {
-        Some(e) => format!(
-            "{:.2} % median, {:.2} % 95th percentile, {:.2} % worst node (standard error of irradiance)",
-            e.median * 100.0,
-            e.p95 * 100.0,
-            e.max * 100.0
-        ),
+/// Noise of the bake, in words.
+fn noise_text(statistics: &StatisticsRecord) -> String {
+    match &statistics.relative_error {
+        Some(error) => format!("{} (standard error of irradiance)", summary_text(error)),
         None => "not measured: that takes at least two samples per node".into(),
     }
+}
+
+/// What more directions do not take away, in words; nothing where nothing tells.
+fn systematic_text(statistics: &StatisticsRecord) -> Option<String> {
+    let error = statistics.systematic_error.filter(|error| error.max > 0.0)?;
+    Some(format!("{} (beside noise: what probes show wrongly, and what nobody sees)", summary_text(&error)))
+}
+
+fn summary_text(error: &ErrorSummary) -> String {
+    let [median, p95, max] = [error.median, error.p95, error.max].map(|e| e * 100.0);
+    format!("{median:.2} % median, {p95:.2} % 95th percentile, {max:.2} % worst node")
 }

@@ -6,8 +6,7 @@ use std::time::Instant;
 
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{MAX_PIXELS, Pose, SampleFormat, write_exr, write_exr_picture, write_png};
-use gdibl_baker::job::records::PlanRow;
-use gdibl_baker::job::{Method, Viewers, Work, with_function};
+use gdibl_baker::job::{Decided, Method, Viewers, Work, with_function};
 use gdibl_baker::panorama::{Image, Mapping};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::render::{Camera, Picture, RenderSettings, render, tone};
@@ -222,7 +221,7 @@ struct Shot<'a> {
 impl Work for Shot<'_> {
     type Output = Result<Picture, Fault>;
 
-    fn run(self, function: &impl RadianceFunction, _: Vec<PlanRow>) -> Result<Picture, Fault> {
+    fn run(self, function: &impl RadianceFunction, _: Decided) -> Result<Picture, Fault> {
         let progress = Progress::new("pixels", (self.settings.width * self.settings.height) as u64, self.quiet);
         let advance = |pixels, rays| progress.advance(pixels, rays);
         let control = Control { cancel: &self.session.cancel, progress: &advance };

@@ -45,7 +45,9 @@ pub const VALIDITY: [u8; 4] = *b"VALD";
 pub const COVERAGE: [u8; 4] = *b"COVR";
 /// Relative standard error, f16 per node. Absent: not measured.
 pub const STANDARD_ERROR: [u8; 4] = *b"SERR";
-/// The same in the worst direction and channel, f16 per node.
+/// Relative systematic error, f16 per node; for tools, the runtime does not read it. Absent: nothing tells.
+pub const SYSTEMATIC_ERROR: [u8; 4] = *b"BIAS";
+/// As [`STANDARD_ERROR`] in the worst direction and channel, f16 per node.
 pub const WORST_ERROR: [u8; 4] = *b"WERR";
 /// Standard errors of coefficients, in the numbers and the order of [`RADIANCE`].
 pub const COEFFICIENT_ERRORS: [u8; 4] = *b"CERR";

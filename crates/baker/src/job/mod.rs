@@ -21,7 +21,7 @@ use crate::bake::{self, Baked, Nodes};
 use crate::exposure::{ExposureMatch, match_exposure};
 use crate::pack::{Sections, sections};
 use crate::radiance::gdibl::Gdibl;
-use crate::radiance::path::Path;
+use crate::radiance::path::{Path, light_without_end};
 use crate::radiance::unseen::UNSEEN_PLACES;
 use crate::radiance::{Distant, RadianceFunction};
 use crate::{Control, Finding, Interrupted};
@@ -173,11 +173,11 @@ impl Job {
     /// No node has light of its own, or the caller cancelled.
     pub fn run(self, watch: &Watch) -> Result<Made, Stop> {
         let (method, mut rows) = (self.method(), self.first_rows());
-        let Sampled { nodes, mut baked, sparse, rows: found } = self.sample(&self.settings, true, watch)?;
+        let Sampled { nodes, mut baked, sparse, decided } = self.sample(&self.settings, true, watch)?;
         check_valid(&baked).map_err(Stop::Nothing)?;
         bake::check_finite(nodes.as_ref().unwrap_or(&self.nodes), &baked, &self.inputs.scene)
             .map_err(|why| Stop::Invalid(format!("{}: {why}", self.inputs.level)))?;
-        rows.extend(found);
+        rows.extend(decided.rows);
         let nodes = nodes.unwrap_or(self.nodes);
         let Settings { grid, quality, .. } = &self.settings;
         let truncations = bands::truncations(&baked);
@@ -190,6 +190,7 @@ impl Job {
         rows.push(plan::sparse(&nodes, grid.tolerance, sparse.as_ref()));
         rows.push(plan::walls(&nodes, &self.inputs.scene, Some(&baked)));
         let mut findings = self.inputs.findings.clone();
+        findings.extend(decided.findings);
         findings.extend(findings_of(&baked, quality.clamp.unwrap_or(f32::INFINITY)));
         let stage = StageRecord { stage: Stage::Nodes.name().into(), rays: baked.rays, seconds: None };
         let statistics =
@@ -251,8 +252,17 @@ pub trait Work {
     /// What comes of it.
     type Output;
 
-    /// `rows`: what the function decided to do and to leave out.
-    fn run(self, function: &impl RadianceFunction, rows: Vec<PlanRow>) -> Self::Output;
+    /// `decided`: what the function does and leaves out, and what it found.
+    fn run(self, function: &impl RadianceFunction, decided: Decided) -> Self::Output;
+}
+
+/// What a radiance function decided when it was built.
+#[derive(Debug, Clone, Default)]
+pub struct Decided {
+    /// What it does and leaves out.
+    pub rows: Vec<PlanRow>,
+    /// What deserves a look.
+    pub findings: Vec<Finding>,
 }
 
 /// Who will ask for light, as far as the radiance function depends on it.
@@ -289,11 +299,12 @@ pub fn with_function<W: Work>(
             function.choose_unseen(settings.quality.unseen, &viewers.places);
         }
         let rows = without_sealed(plan::plan(scene, &function));
-        work.run(&function, rows)
+        work.run(&function, Decided { rows, findings: Vec::new() })
     } else {
         let function = Path::new(scene, distant, settings.path());
         let rows = without_sealed(plan::plan_path(scene, &function));
-        work.run(&function, rows)
+        let findings = light_without_end(scene, &function).into_iter().collect();
+        work.run(&function, Decided { rows, findings })
     }
 }
 
@@ -303,8 +314,8 @@ struct RowsOf;
 impl Work for RowsOf {
     type Output = Vec<PlanRow>;
 
-    fn run(self, _: &impl RadianceFunction, rows: Vec<PlanRow>) -> Vec<PlanRow> {
-        rows
+    fn run(self, _: &impl RadianceFunction, decided: Decided) -> Vec<PlanRow> {
+        decided.rows
     }
 }
 
@@ -318,7 +329,7 @@ pub struct Sampled {
     /// How sparse the grid is.
     pub sparse: Option<records::SparseRecord>,
     /// What the radiance function decided.
-    pub rows: Vec<PlanRow>,
+    pub decided: Decided,
 }
 
 /// Bakes the nodes of a job.
@@ -332,7 +343,7 @@ struct Sample<'a, 'b> {
 impl Work for Sample<'_, '_> {
     type Output = Result<Sampled, Interrupted>;
 
-    fn run(self, function: &impl RadianceFunction, rows: Vec<PlanRow>) -> Self::Output {
+    fn run(self, function: &impl RadianceFunction, decided: Decided) -> Self::Output {
         let Sample { job, settings, importance, watch } = self;
         (watch.stage)(Stage::Nodes);
         let control = Control { cancel: watch.cancel, progress: watch.progress };
@@ -344,7 +355,7 @@ impl Work for Sample<'_, '_> {
             }
             _ => (None, bake::bake(&job.nodes, function, &bake_settings, &control)?, None),
         };
-        Ok(Sampled { nodes, baked, sparse, rows })
+        Ok(Sampled { nodes, baked, sparse, decided })
     }
 }
 

@@ -188,6 +188,9 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
     if baked.relative_error.iter().all(|e| e.is_finite()) {
         sections.push((format::STANDARD_ERROR, halves(&baked.relative_error)));
     }
+    if baked.systematic_error.iter().any(|e| *e > 0.0) && baked.systematic_error.iter().all(|e| e.is_finite()) {
+        sections.push((format::SYSTEMATIC_ERROR, halves(&baked.systematic_error)));
+    }
     if !baked.coefficient_error.is_empty() && baked.coefficient_error.iter().all(|e| e.is_finite()) {
         sections.push((format::WORST_ERROR, halves(&baked.worst_error)));
         sections.push((format::COEFFICIENT_ERRORS, planes(&baked.coefficient_error, &[], baked.len(), numbers)));

@@ -324,7 +324,8 @@ fn grey(scene: &Scene) -> Scene {
 fn crate_room() -> Scene {
     let faces = [[0, 2, 6, 4], [1, 5, 7, 3], [0, 4, 5, 1], [2, 3, 7, 6], [0, 1, 3, 2], [4, 6, 7, 5]];
     let cuboid = |min: [f64; 3], max: [f64; 3], outward: bool, material: u32| {
-        let corner = |i: usize| DVec3::from_array([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { min[axis] } else { max[axis] }));
+        let corner =
+            |i: usize| DVec3::from_array([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { min[axis] } else { max[axis] }));
         let mut mesh = Mesh { material, ..Mesh::default() };
         for [a, b, c, d] in faces {
             let first = mesh.positions.len() as u32;

@@ -177,7 +177,7 @@ impl Nodes {
     /// Edge of the pixel of a probe on a surface, metres, from which on what it shows is too coarse for these nodes in a level of this
     /// size (metres): half the spacing of the grid; of other nodes, that of the default grid. In a living room with 5 probes of 512 x
     /// 256, coarser pixels replaced by paths, RMSE of E was 1.35 % with the whole spacing, 0.32 % with half of it, 0.38 % with a
-    /// quarter and 0.50 % with an eighth (`tools/unseen_table`).
+    /// quarter and 0.50 % with an eighth.
     pub fn coarsest_pixel(&self, size: f64) -> f32 {
         let spacing = match self {
             Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }) => {

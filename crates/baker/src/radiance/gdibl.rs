@@ -14,6 +14,7 @@ use super::blend::{BlendRule, View};
 use super::candidates::{Candidate, Lookers, pixel_size};
 use super::effects::{EffectCache, PARTS, Texel};
 use super::guide::{Distant, Emitter, Emitters, Guide, Receiver, Regions, Sky, bright_regions, bright_triangles};
+use super::lamps::Lamps;
 use super::path::{First, Path, PathSettings};
 use super::probe::{PlacedProbe, Surroundings};
 use super::punctual::Punctual;
@@ -211,6 +212,8 @@ pub struct Gdibl<'a> {
     targets: Option<Emitters>,
     /// `None` where no ray will ask.
     surface_light: Option<SurfaceLight>,
+    /// What glows, where it is traced and not asked of probes.
+    lamps: Option<Lamps>,
 }
 
 /// Paths for where no probe counts.
@@ -265,10 +268,6 @@ impl<'a> Gdibl<'a> {
         };
         let targets = objects.as_ref().filter(|objects| effects.is_some() && objects.len() <= MOST_DRAWN);
         let targets = targets.and_then(|objects| Emitters::new(targets_of(scene, objects)));
-        let surface_light = environment.as_ref().filter(|_| settings.directions > 0).map(|environment| {
-            let lookers = Lookers { scene, environment, probes: &placed, blend: settings.blend, coarsest };
-            SurfaceLight::new(&lookers, &all, settings.directions)
-        });
         let mut emitters =
             bright_triangles(scene, &environment.as_deref().into_iter().chain(&objects).collect::<Vec<_>>());
         let is_emissive = emitters.iter().any(|own| !own.is_empty());
@@ -284,7 +283,7 @@ impl<'a> Gdibl<'a> {
         emitters.push(regions.emitters);
         let guide = Guide::new(distant, emitters.into_iter().flatten().collect());
         let guide = if is_emissive { guide } else { guide.with_emitter_weight(regions.weight) };
-        Gdibl {
+        let mut function = Gdibl {
             scene,
             frame,
             environment,
@@ -303,8 +302,20 @@ impl<'a> Gdibl<'a> {
             settings,
             effects,
             targets,
-            surface_light,
-        }
+            surface_light: None,
+            lamps: None,
+        };
+        function.surface_light = function.empty_surface_light();
+        function
+    }
+
+    /// Nothing is remembered yet.
+    fn empty_surface_light(&self) -> Option<SurfaceLight> {
+        let Gdibl { scene, placed, coarsest, settings, .. } = self;
+        self.environment.as_ref().filter(|_| settings.directions > 0).map(|environment| {
+            let lookers = Lookers { scene, environment, probes: placed, blend: settings.blend, coarsest: *coarsest };
+            SurfaceLight::new(&lookers, &self.all, settings.directions)
+        })
     }
 
     /// How many probes may lend light.
@@ -341,7 +352,17 @@ impl<'a> Gdibl<'a> {
     /// for a comparison are a 64th of [`GdiblSettings::directions`], and some thousands; more where these are too noisy.
     pub fn choose_unseen(&mut self, unseen: Unseen, places: &[DVec3]) -> &UnseenChoice {
         self.tracer = None;
+        self.lamps = None;
+        let may_trace =
+            unseen != Unseen::Fill && !self.scene.materials_left_out && !self.settings.emission_from_materials;
+        if let Some(environment) = self.environment.as_ref().filter(|_| may_trace) {
+            self.lamps = Lamps::find(self.scene, environment, &self.frame, self.probes, &self.placed);
+        }
         let (choice, tracer) = self.weigh_unseen(unseen, places);
+        if !choice.traced && self.lamps.take().is_some() {
+            // What was found while lamps did not count must not be remembered.
+            self.surface_light = self.empty_surface_light();
+        }
         self.unseen = choice;
         self.tracer = tracer;
         &self.unseen
@@ -701,6 +722,11 @@ impl<'a> Gdibl<'a> {
         context: &mut PathContext,
     ) -> Option<Radiance> {
         let environment = self.environment.as_ref().expect("the environment was hit");
+        // A guess takes what there is.
+        let lamps = self.lamps.as_ref().filter(|_| coarsest == self.coarsest);
+        if lamps.is_some_and(|lamps| lamps.glows(hit.triangle)) {
+            return Some(Radiance::UNCOVERED);
+        }
         let scratch = &mut context.scratch;
         // Candidates stand on the side from which the ray came.
         scratch.candidates.clear();
@@ -747,11 +773,13 @@ impl<'a> Gdibl<'a> {
             let toward_point = hit.position - probe.position;
             let panorama = &self.probes[index as usize].panorama;
             let distance = toward_point.length();
-            let pixel = panorama.radiance_on_plane(
-                probe.to_local * (toward_point / distance),
-                self.frame.metres(distance),
-                probe.to_local * hit.normal,
-            );
+            let direction = probe.to_local * (toward_point / distance);
+            let pixel = match lamps.is_some_and(|lamps| lamps.is_in_pixel(index as usize, panorama, direction)) {
+                true => None,
+                false => {
+                    panorama.radiance_on_plane(direction, self.frame.metres(distance), probe.to_local * hit.normal)
+                }
+            };
             if let Some(pixel) = pixel {
                 scratch.merits.push(merit);
                 scratch.seen.push((pixel * probe.gain, clear));

@@ -5,6 +5,7 @@ mod candidates;
 mod effects;
 pub mod gdibl;
 mod guide;
+mod lamps;
 pub mod path;
 mod probe;
 mod punctual;

@@ -116,7 +116,7 @@ fn where_no_node_rings_deringing_leaves_the_light_and_its_tag() {
     let baked = baked_of(&Scene::default(), 4, &points);
     let settings = PackSettings { dering: true, ..PackSettings::default() };
     let packed = pack(&Nodes::Points(points.to_vec()), &baked, Records::default(), settings);
-    assert_eq!(packed.records.statistics.deringing, None);
+    assert_eq!(packed.records.statistics.unwrap().deringing, None);
     let row = packed.records.plan.last().unwrap();
     assert_eq!((row.stage.as_str(), row.kept, row.why.as_str()), ("deringing", false, "no node rings"));
     let volume = Volume::parse(&packed.bytes).unwrap();

@@ -43,7 +43,7 @@ fn scaled(mut baked: Baked, factor: impl Fn(usize, usize) -> f32) -> Baked {
 
 fn check(baked: &Baked, asked: f64, what: &str) {
     let (volume, packed) = packed_of(baked, asked, false);
-    let PackingRecord { step, added_error } = packed.records.statistics.packing.expect("it is packed");
+    let PackingRecord { step, added_error } = packed.records.statistics.unwrap().packing.expect("it is packed");
     let mut errors = Vec::new();
     for node in 0..baked.len() {
         let error = error(&volume.node_sh(node), &sh_of(baked, node));
@@ -93,7 +93,7 @@ fn error_asked_for_is_kept_in_extreme_light() {
     check(&scaled(baked(), |node, _| if node % 3 == 0 { 0.0 } else { 1.0 }), 0.005, "black nodes");
     let (volume, packed) = packed_of(&scaled(baked(), |_, _| 0.0), 0.005, false);
     assert!((0..volume.node_count()).all(|node| volume.node_sh(node) == RadianceSh::zero(2)));
-    assert_eq!(packed.records.statistics.packing.unwrap().added_error.max, 0.0);
+    assert_eq!(packed.records.statistics.unwrap().packing.unwrap().added_error.max, 0.0);
     // Band 0 negative, and gone, as no light leaves it.
     for band_0 in [-1.0, 0.0, 1e-3] {
         let mut odd = baked();
@@ -144,7 +144,7 @@ fn deringed_light_is_packed_within_the_same_error() {
         Volume::parse(&pack(&Nodes::Points(places()), &baked, Records::default(), settings).bytes).unwrap()
     };
     let (volume, packed) = packed_of(&baked, 0.005, true);
-    assert!(packed.records.statistics.deringing.is_some() && volume.header().is_deringed());
+    assert!(packed.records.statistics.unwrap().deringing.is_some() && volume.header().is_deringed());
     let mut errors: Vec<f64> =
         baked.valid_nodes().map(|node| error(&volume.node_sh(node), &exact.node_sh(node))).collect();
     errors.sort_by(f64::total_cmp);

@@ -1,7 +1,8 @@
 //! Lines of sight that are left out, because nothing can stand between, against those that are traced.
 
 use gdibl_baker::bake::{BakeSettings, Baked};
-use gdibl_baker::job::plan::{PlanRow, plan};
+use gdibl_baker::job::plan::plan;
+use gdibl_baker::job::records::PlanRow;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, Probe};
 use gdibl_baker::scene::{Role, Scene};
 use glam::DVec3;

@@ -119,19 +119,19 @@ impl Case {
     }
 
     fn capture(&self, folder: &Path) {
+        let cancel = AtomicBool::new(false);
+        let control = Control { cancel: &cancel, progress: &|_, _| {} };
         let paths = self.paths();
         let bounds = self.scene.bounds(|_| true).expect("a level with triangles");
         let positions = match self.name {
             "crate" => [(0.7, 0.7), (5.3, 0.7), (0.7, 5.3), (5.3, 5.3)].map(|(x, z)| DVec3::new(x, 0.6, z)).to_vec(),
             _ => {
                 let settings = PlaceSettings { most: PROBES, ..PlaceSettings::default() };
-                place_probes(&paths, bounds, &[], &settings).positions()
+                place_probes(&paths, bounds, &[], &settings, &control).expect("nobody interrupts").positions()
             }
         };
         let settings =
             CaptureSettings { width: PROBE_WIDTH, samples: PROBE_SAMPLES, seed: 5, ..CaptureSettings::default() };
-        let cancel = AtomicBool::new(false);
-        let control = Control { cancel: &cancel, progress: &|_, _| {} };
         for (index, position) in positions.into_iter().enumerate() {
             let captured = capture(&paths, position, index as u64, &settings, &control).expect("nobody interrupts");
             let pose = Pose { position: Some(position), rotation: None };

@@ -66,9 +66,9 @@ impl Folder {
         write_exr(&self.path(name), &image, &pose, Mapping::LatLong, SampleFormat::F32).unwrap();
     }
 
-    /// A probe of constant radiance.
+    /// A probe of constant radiance, so fine that it counts on all surfaces of a room.
     pub fn constant(&self, name: &str, position: [f64; 3], radiance: [f32; 3]) {
-        self.panorama(name, 16, Some(position), |_| radiance);
+        self.panorama(name, 512, Some(position), |_| radiance);
     }
 
     /// A distant panorama of constant radiance.

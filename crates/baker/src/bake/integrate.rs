@@ -36,7 +36,7 @@ pub const REPLICATES: u32 = 4;
 pub const INTERVAL_95: f64 = 3.182;
 /// 95 % of the differences of E, in any direction and channel, lie within so many whole errors of a node, of noise and systematic error
 /// together: Student's t with about ten degrees of freedom, since an error of a node rests on all of its coefficients. Of 128 nodes of a
-/// living room by path tracing 93.3 % lay within 2 (`tools/unseen_table`).
+/// living room by path tracing 93.3 % lay within 2 (`tools/never_worse`).
 pub const WHOLE_INTERVAL_95: f64 = 2.23;
 /// Directions in which `relative_error` looks at E.
 const ERROR_DIRECTIONS: usize = 26;

@@ -16,6 +16,7 @@ mod sample;
 mod sealed;
 mod sparse;
 mod standing;
+mod summary;
 mod systematic;
 pub(crate) mod walls;
 
@@ -30,10 +31,11 @@ pub use gdibl_runtime::walls::WallCell;
 pub use integrate::{INTERVAL_95, WHOLE_INTERVAL_95};
 pub(crate) use irradiance::{Irradiance, difference, irradiance_of, root_mean_square, strength};
 pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_spacing};
-use sample::{Batch, Sampled, Scale, Summary};
+use sample::{Batch, Sampled, Scale};
 pub use sealed::is_sealed;
 pub use sparse::{bake_sparse, grid_of_cells, levels_of};
 pub use standing::Standing;
+use summary::Summary;
 use systematic::systematic_errors;
 
 use crate::radiance::RadianceFunction;

@@ -6,9 +6,10 @@ use rayon::prelude::*;
 use std::sync::Mutex;
 
 use super::baked::BakeSettings;
-use super::integrate::{Bias, Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence, Told};
+use super::integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence, Told};
 use super::nodes::Nodes;
 use super::standing::{Sites, Standing};
+use super::summary::Summary;
 use super::systematic::least_systematic_error;
 use crate::radiance::{Audit, PathContext, RadianceFunction, number_of_place};
 use crate::sampling::{Sampler, Stream};
@@ -21,7 +22,7 @@ const PILOT_SAMPLES: u64 = 256;
 const NEIGHBOURS: usize = 8;
 
 /// Nodes that are audited, about, and their share at most; share of their directions; and the random number that chooses these. Squares
-/// of systematic error are known best where few nodes are audited much. Retuned by `tools/unseen_table`.
+/// of systematic error are known best where few nodes are audited much. Retuned by `tools/never_worse`.
 const AUDITED_NODES: f64 = 32.0;
 const MOST_AUDITED_NODES: f64 = 0.25;
 const AUDITED: f32 = 0.25;
@@ -127,58 +128,6 @@ impl Batch {
         };
         let scale = Scale { median: median_irradiance(&sampled.estimates), ..self.scale };
         Batch { sites: self.sites.selected(places), sampled, scale }
-    }
-}
-
-/// What is kept of a node besides its coefficients.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Summary {
-    pub standard_error: f64,
-    pub worst_error: f64,
-    pub rms_irradiance: f64,
-    pub coverage: f64,
-    pub bias: Bias,
-    pub unseen_error: f64,
-    /// ∫ L dω that clamping took, and that is left, over R, G and B.
-    pub clamped: f64,
-    pub kept: f64,
-}
-
-/// Light under this share of the volume's median is next to none: a solid's walls may leak a little.
-const NEXT_TO_NONE: f64 = 1e-3;
-
-impl Summary {
-    /// Next to no light gets there, or none that is known.
-    fn is_dark(&self, median: f64) -> bool {
-        self.coverage == 0.0 || self.rms_irradiance <= NEXT_TO_NONE * median
-    }
-
-    /// An error of E over the larger of the node's own RMS of E and a tenth of the median.
-    pub fn relative(&self, error: f64, median: f64) -> f64 {
-        let floor = self.rms_irradiance.max(0.1 * median);
-        // All black: nothing is wrong with it.
-        if error == 0.0 { 0.0 } else { error / floor }
-    }
-
-    /// The same of a square, which may be negative.
-    pub fn relative_square(&self, square: f64, median: f64) -> f64 {
-        let floor = self.rms_irradiance.max(0.1 * median);
-        if square == 0.0 { 0.0 } else { square / (floor * floor) }
-    }
-}
-
-impl From<&NodeEstimate> for Summary {
-    fn from(e: &NodeEstimate) -> Self {
-        Summary {
-            standard_error: e.standard_error,
-            worst_error: e.worst_error,
-            rms_irradiance: e.rms_irradiance,
-            coverage: e.coverage,
-            bias: e.bias,
-            unseen_error: e.unseen_error,
-            clamped: e.clamped,
-            kept: e.sh[0].iter().sum::<f64>() * (4.0 * std::f64::consts::PI).sqrt(),
-        }
     }
 }
 

@@ -7,7 +7,7 @@
 //! each of them knows. Audits by paths know the truth, but where paths are noisy they do not tell; then those by leaving out a probe
 //! count, which are nearly free of noise and say how far probes differ. Beside it stands the light of directions that nobody has seen, which each node knows for itself.
 
-use super::sample::Summary;
+use super::summary::Summary;
 
 /// Independent numbers in E of a node, about: the square of a mean of audits varies by its variance times √(2 / this).
 const FREEDOM: f64 = 2.0;

@@ -62,7 +62,7 @@ impl UnseenChoice {
 /// So many of the nodes, spread evenly, are places enough to look from.
 pub const UNSEEN_PLACES: usize = 256;
 
-/// Probes and paths must agree this well, median and upper quartile. Retuned by `tools/unseen_table`.
+/// Probes and paths must agree this well, median and upper quartile. Retuned by `tools/never_worse`.
 pub const TRUSTED: [f64; 2] = [0.15, 0.35];
 /// Points of a group.
 const GROUP: usize = 32;

@@ -4,6 +4,7 @@
 //! the origin and scales it by a power of two to about a thousand units, so that a dolls' house and a city, at
 //! the origin or a thousand kilometres away, are traced alike.
 
+mod back_to_back;
 mod collapse;
 mod level;
 mod node;
@@ -20,13 +21,13 @@ mod twins;
 use glam::{DVec3, Vec2, Vec3};
 
 use crate::scene::{Material, Mesh, Scene};
+pub(crate) use back_to_back::{counts_before, search_limit};
 pub use level::{Level, Met};
 pub use shaft::Sight;
 pub use surface::Scattered;
 pub use tree::Tree;
 pub use triangle::TreeHit;
 use twins::Twins;
-pub(crate) use twins::{counts_before, search_limit};
 
 /// Half the size of the level in trace units lies in `TRACE_EXTENT/2 ..= TRACE_EXTENT`.
 const TRACE_EXTENT: f64 = 512.0;

@@ -153,6 +153,7 @@ impl Shaft {
 mod tests {
     use super::*;
     use crate::sampling::{Sampler, Stream};
+    use crate::scene::Alpha;
     use crate::scene::{Material, Mesh};
     use crate::trace::Frame;
     use glam::Vec2;

@@ -3,6 +3,7 @@
 //! [`Elements::open`] checks that every byte of every element is there; after that reading cannot fail.
 
 use gltf::json::accessor::{ComponentType, Type};
+use gltf::json::mesh::{Primitive, Semantic};
 use gltf::json::validation::Checked;
 
 use super::buffers::{Buffers, View};
@@ -11,6 +12,13 @@ use crate::Result;
 /// An accessor without a buffer view is all zeros, whatever it counts: a file of 300 bytes may claim billions. No real
 /// morph target comes near this.
 const MAX_COUNT_WITHOUT_DATA: u64 = 1 << 24;
+
+pub(super) type AccessorIndex = gltf::json::Index<gltf::json::Accessor>;
+
+/// The accessor of an attribute.
+pub(super) fn attribute(primitive: &Primitive, semantic: Semantic) -> Option<AccessorIndex> {
+    primitive.attributes.get(&Checked::Valid(semantic)).copied()
+}
 
 /// The elements of one accessor.
 pub(super) struct Elements<'b> {

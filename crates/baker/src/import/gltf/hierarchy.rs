@@ -32,7 +32,7 @@ impl PlacedNode {
         let Some(role) = self.role else { return Ok(None) };
         let said = |roles: &[Option<Value>], index: usize, what: &str| {
             let value = roles.get(index).and_then(Option::as_ref);
-            properties::role(document, value, || format!("{what} {index}"))
+            properties::role(value, || format!("{what} {index}"), |why| document.invalid(why))
         };
         let of_material =
             material.map(|index| said(&document.material_roles, index, "material")).transpose()?.flatten();
@@ -96,7 +96,7 @@ pub(super) fn place_nodes(
             hidden += 1;
             continue;
         }
-        let own = properties::role(document, node.extras.get(properties::ROLE), || label.clone())?;
+        let own = properties::role(node.extras.get(properties::ROLE), || label.clone(), |why| document.invalid(why))?;
         let role = match own {
             None => inherited,
             Some(Said::Role(role)) => Some(role),

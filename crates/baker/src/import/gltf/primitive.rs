@@ -7,7 +7,7 @@ use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
 
-use super::accessor::Elements;
+use super::accessor::{Elements, attribute};
 use super::buffers::Buffers;
 use super::document::Document;
 use super::findings::Findings;
@@ -64,13 +64,6 @@ fn triangle_mode(primitive: &Primitive) -> Option<Mode> {
         Checked::Valid(mode @ (Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan)) => Some(mode),
         _ => None,
     }
-}
-
-pub(super) type AccessorIndex = gltf::json::Index<gltf::json::Accessor>;
-
-/// The accessor of an attribute.
-pub(super) fn attribute(primitive: &Primitive, semantic: Semantic) -> Option<AccessorIndex> {
-    primitive.attributes.get(&Checked::Valid(semantic)).copied()
 }
 
 /// How a mesh is deformed.

@@ -3,10 +3,9 @@
 
 use serde_json::{Map, Value};
 
-use super::document::Document;
 use super::findings::Findings;
-use crate::Result;
 use crate::scene::Role;
+use crate::{Error, Result};
 
 /// What is read on nodes; on meshes and materials, of these, the role.
 const KEYS: [&str; 3] = [ROLE, "gdibl_probe", "gdibl_volume"];
@@ -20,13 +19,17 @@ pub(super) enum Said {
 }
 
 /// Reads a role; an error says what it must be. `place`: whose extras they are.
-pub(super) fn role(document: &Document, value: Option<&Value>, place: impl FnOnce() -> String) -> Result<Option<Said>> {
+pub(super) fn role(
+    value: Option<&Value>,
+    place: impl FnOnce() -> String,
+    invalid: impl FnOnce(String) -> Error,
+) -> Result<Option<Said>> {
     let Some(value) = value else { return Ok(None) };
     match value.as_str() {
         Some("environment") => Ok(Some(Said::Role(Role::Environment))),
         Some("scene") => Ok(Some(Said::Role(Role::Scene))),
         Some("ignore") => Ok(Some(Said::Ignore)),
-        _ => Err(document.invalid(format!(
+        _ => Err(invalid(format!(
             "{}: extras.gdibl_role is {value}; expected \"environment\", \"scene\" or \"ignore\"",
             place()
         ))),

@@ -5,9 +5,8 @@ use glam::{DAffine3, DMat3, DVec3};
 use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::mesh::{Primitive, Semantic};
 
-use super::accessor::Elements;
+use super::accessor::{Elements, attribute};
 use super::buffers::Buffers;
-use super::primitive::attribute;
 use crate::Result;
 
 /// Mesh to world for each vertex of a primitive: the sum of its joints' transforms by weight. `None`: it names no joints.

@@ -81,7 +81,7 @@ fn probes_that_cannot_be_read_are_named_with_what_was_found() {
             ("bake room.glb --probes cut.exr", 3, &["cut.exr"]),
             ("bake room.glb --probes picture.exr", 4, &["picture.exr", "PNG", "OpenEXR"]),
             ("bake room.glb --probes room.glb", 4, &["room.glb", "a glTF file", "OpenEXR"]),
-            ("bake room.glb --probes nothing", 3, &["nothing", ".exr"]),
+            ("bake room.glb --probes nothing", 3, &["nothing", "EXR"]),
             ("bake room.glb --probes probe.exr --distant missing.hdr", 3, &["missing.hdr"]),
             ("bake room.glb --probes probe.exr --distant nan.exr", 3, &["nan.exr"]),
         ],

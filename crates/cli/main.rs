@@ -9,6 +9,7 @@ mod hashes;
 mod inputs;
 mod progress;
 mod session;
+mod stages;
 mod study;
 
 use clap::{Parser, Subcommand};

@@ -1,14 +1,13 @@
 //! `gdibl bake`: level and probes in, volume out.
 
-use std::cell::RefCell;
 use std::sync::atomic::Ordering;
 
 use gdibl_baker::Finding;
 use gdibl_baker::bake::Nodes;
 use gdibl_baker::exposure::ExposureMatch;
 use gdibl_baker::job::bands::Truncation;
-use gdibl_baker::job::records::{PlanRow, StageRecord, StageSeconds, StatisticsRecord};
-use gdibl_baker::job::{Job, Made, Stage, Watch};
+use gdibl_baker::job::records::{PlanRow, StatisticsRecord};
+use gdibl_baker::job::{Job, Made, Method, Stage, Watch};
 use gdibl_baker::pack::{Packed, Precision, write_whole};
 use serde::Serialize;
 
@@ -17,8 +16,9 @@ use crate::config::{Config, FileFlags, set_threads};
 use crate::fault::Fault;
 use crate::flags::{OfBakes, SettingFlags};
 use crate::inputs::{memory_of, read_inputs};
-use crate::progress::{Clock, Progress};
+use crate::progress::Progress;
 use crate::session::{Outcome, Session};
+use crate::stages::Stages;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -84,15 +84,27 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     }
 
     let found = job.inputs.findings.len();
+    let is_traced = job.method() == Method::Path;
     let mut made = bake(job, &stages, session, arguments.quiet)?;
     let statistics = made.records.statistics.as_mut().expect("a job fills it in");
     session.find(&statistics.findings[found..]);
     if config.settings.quality.record_times {
         stages.fill(&mut statistics.stages);
     }
-    let place = Place::of(&made.nodes);
     let missed = missed_text(&made, &config);
     missed.iter().for_each(|text| session.note(&[Finding::new("missed-target", made.baked.missed, text)]));
+    Ok(write(made, &config, &stages, session, is_traced)?.missing(missed))
+}
+
+/// Packs the volume, writes it, and tells what was made. `is_traced`: by paths, of which coverage tells nothing.
+fn write(
+    mut made: Made,
+    config: &Config,
+    stages: &Stages,
+    session: &Session,
+    is_traced: bool,
+) -> Result<Outcome, Fault> {
+    let place = place_text(&made.nodes);
     let (sh, truncation, exposure) = (format!("L{}", made.baked.bands), made.truncations.clone(), made.exposure.take());
     let Packed { bytes, records } = made.sections().assemble();
     if session.cancel.load(Ordering::Relaxed) {
@@ -102,6 +114,12 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
 
     let mut statistics = records.statistics.expect("it was filled in");
     stages.fill(&mut statistics.stages);
+    // The report's own findings are those of the whole run.
+    statistics.findings.clear();
+    if is_traced {
+        // Null in JSON.
+        statistics.coverage = f64::NAN;
+    }
     let (wall_seconds, cpu_seconds) = stages.total();
     let report = Report {
         output: config.output.display().to_string(),
@@ -113,19 +131,10 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         plan: records.plan,
         truncation,
         exposure,
-        // The report's own findings are those of the whole run. Without probes there is no coverage: null in JSON.
-        statistics: StatisticsRecord {
-            findings: Vec::new(),
-            coverage: if records.probes.iter().any(|probe| probe.position.is_some()) {
-                statistics.coverage
-            } else {
-                f64::NAN
-            },
-            ..statistics
-        },
+        statistics,
     };
     let text = text(&report, &place, config.settings.quality.precision);
-    Ok(Outcome::new(report, text).missing(missed))
+    Ok(Outcome::new(report, text))
 }
 
 /// Runs the job with a progress bar.
@@ -137,46 +146,6 @@ fn bake(job: Job, stages: &Stages, session: &Session, quiet: bool) -> Result<Mad
     stages.next(Stage::Pack.name());
     progress.finish();
     Ok(made)
-}
-
-/// The stages so far, and what they took.
-struct Stages {
-    clock: Clock,
-    /// Each with the seconds at which it began.
-    begun: RefCell<Vec<(&'static str, StageSeconds)>>,
-}
-
-impl Stages {
-    fn begin(name: &'static str) -> Stages {
-        let begun = RefCell::new(vec![(name, StageSeconds { wall: 0.0, cpu: 0.0 })]);
-        Stages { clock: Clock::start(), begun }
-    }
-
-    fn now(&self) -> StageSeconds {
-        StageSeconds { wall: self.clock.wall_seconds(), cpu: self.clock.cpu_seconds() }
-    }
-
-    fn next(&self, name: &'static str) {
-        self.begun.borrow_mut().push((name, self.now()));
-    }
-
-    /// All stages with their seconds; rays as they are known.
-    fn fill(&self, records: &mut Vec<StageRecord>) {
-        let begun = self.begun.borrow();
-        let ends = begun.iter().skip(1).map(|(_, seconds)| *seconds).chain([self.now()]);
-        let stage = |((name, start), end): (&(&str, StageSeconds), StageSeconds)| StageRecord {
-            stage: (*name).into(),
-            rays: records.iter().find(|record| record.stage == *name).map_or(0, |record| record.rays),
-            seconds: Some(StageSeconds { wall: end.wall - start.wall, cpu: end.cpu - start.cpu }),
-        };
-        let filled = begun.iter().zip(ends).map(stage).collect();
-        *records = filled;
-    }
-
-    fn total(&self) -> (f64, f64) {
-        let StageSeconds { wall, cpu } = self.now();
-        (wall, cpu)
-    }
 }
 
 /// Which nodes missed the target error, if one was asked for.
@@ -203,27 +172,23 @@ fn plan_text(plan: &[PlanRow]) -> String {
 }
 
 /// Where the nodes are, in words.
-struct Place(String);
-
-impl Place {
-    fn of(nodes: &Nodes) -> Place {
-        Place(match nodes {
-            Nodes::Grid(grid) => {
-                let [x, y, z] = grid.counts;
-                format!("grid {x} x {y} x {z}")
-            }
-            Nodes::Sparse(sparse) => {
-                let [x, y, z] = sparse.grid.counts;
-                let share = 100.0 * nodes.len() as f64 / sparse.grid.node_count() as f64;
-                format!("sparse grid {x} x {y} x {z}, {share:.1} %")
-            }
-            Nodes::Points(_) => "points".into(),
-            Nodes::Vertices { sets, .. } => format!("vertices of {} meshes", sets.len()),
-        })
+fn place_text(nodes: &Nodes) -> String {
+    match nodes {
+        Nodes::Grid(grid) => {
+            let [x, y, z] = grid.counts;
+            format!("grid {x} x {y} x {z}")
+        }
+        Nodes::Sparse(sparse) => {
+            let [x, y, z] = sparse.grid.counts;
+            let share = 100.0 * nodes.len() as f64 / sparse.grid.node_count() as f64;
+            format!("sparse grid {x} x {y} x {z}, {share:.1} %")
+        }
+        Nodes::Points(_) => "points".into(),
+        Nodes::Vertices { sets, .. } => format!("vertices of {} meshes", sets.len()),
     }
 }
 
-fn text(report: &Report, place: &Place, precision: Precision) -> String {
+fn text(report: &Report, place: &str, precision: Precision) -> String {
     let numbers = match precision {
         Precision::F16 => "f16",
         Precision::F32 => "f32",
@@ -233,7 +198,7 @@ fn text(report: &Report, place: &Place, precision: Precision) -> String {
     let millions = |count: u64| count as f64 / 1e6;
     let mut lines = vec![
         report.output.clone(),
-        format!("  nodes     {} ({}), {} valid", statistics.nodes, place.0, statistics.nodes_valid),
+        format!("  nodes     {} ({}), {} valid", statistics.nodes, place, statistics.nodes_valid),
         format!("  standing  {}", super::standing_text(&statistics.standing, statistics.walls.as_ref())),
         format!("  light     {} in {numbers}, {} bytes", report.sh, report.bytes),
         format!(

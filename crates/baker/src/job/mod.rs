@@ -428,6 +428,8 @@ fn settings_record(
         in_force.grid.bounds = Some([x0, y0, z0, x1, y1, z1]);
     }
     let quality = &settings.quality;
+    // Records must not depend on where a level lies.
+    let level = std::path::Path::new(&level).file_name().unwrap_or_default().to_string_lossy().into_owned();
     SettingsRecord {
         writer,
         level,

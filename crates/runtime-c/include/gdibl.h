@@ -88,20 +88,6 @@ typedef struct {
   double max[3];
 } GdiblHeader;
 
-// Which nodes are the vertices of which part of the level.
-typedef struct {
-  // Index of the glTF node.
-  uint32_t node;
-  // Index of the glTF mesh.
-  uint32_t mesh;
-  // Index of the primitive in the mesh.
-  uint32_t primitive;
-  // The first of its nodes in the volume; the others follow in the order of the primitive's vertices.
-  uint32_t first;
-  // How many there are.
-  uint32_t count;
-} GdiblVertexSet;
-
 // Light at a position, or at a node.
 typedef struct {
   // The highest band, 0 to 4.
@@ -115,6 +101,20 @@ typedef struct {
   // Whether the position is in the volume's box; otherwise this is the light at the nearest position in it.
   bool inside;
 } GdiblSample;
+
+// Which nodes are the vertices of which part of the level.
+typedef struct {
+  // Index of the glTF node.
+  uint32_t node;
+  // Index of the glTF mesh.
+  uint32_t mesh;
+  // Index of the primitive in the mesh.
+  uint32_t primitive;
+  // The first of its nodes in the volume; the others follow in the order of the primitive's vertices.
+  uint32_t first;
+  // How many there are.
+  uint32_t count;
+} GdiblVertexSet;
 
 #ifdef __cplusplus
 extern "C" {
@@ -163,7 +163,9 @@ size_t gdibl_vertex_set_count(const GdiblVolume *volume);
 // their light.
 //
 // `volume` is NULL or alive; `set` is NULL or can be written.
-GdiblStatus gdibl_vertex_set(const GdiblVolume *volume, size_t index, GdiblVertexSet *set);
+GdiblStatus gdibl_vertex_set(const GdiblVolume *volume,
+                             size_t index,
+                             GdiblVertexSet *set);
 
 // Irradiance on a surface at a position in metres with a unit normal: diffuse = albedo / pi * irradiance. Not clamped.
 //

@@ -4,6 +4,7 @@
 //! leads to the file that defines it. Declaring a module is no arrow, and re-exporting from a module below is none. Test
 //! modules do not count. The test reads text, not types: it does not see methods.
 
+use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::path::{Path, PathBuf};
 
@@ -273,8 +274,8 @@ impl Rooms {
             let (mut before, mut queue) = (HashMap::new(), VecDeque::from([start]));
             while let Some(file) = queue.pop_front() {
                 for to in next(file) {
-                    if !before.contains_key(&to) {
-                        before.insert(to, file);
+                    if let Entry::Vacant(entry) = before.entry(to) {
+                        entry.insert(file);
                         queue.push_back(to);
                     }
                 }

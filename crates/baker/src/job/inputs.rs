@@ -22,7 +22,7 @@ pub struct Inputs {
     pub probes: Vec<Probe>,
     /// The panorama at infinity.
     pub distant: Option<Distant>,
-    /// Nodes of [`NodeKind::Points`], world metres.
+    /// Nodes of [`NodeKind::Points`](super::text::NodeKind::Points), world metres.
     pub places: Vec<DVec3>,
     /// The probes were captured from the level for want of others, and show reflected light alone.
     pub captured: bool,

@@ -383,7 +383,7 @@ mod tests {
         let expected = [&1u64.to_le_bytes()[..], &2u64.to_le_bytes(), b"ab", &[1], &1u64.to_le_bytes(), b"c"].concat();
         assert_eq!(encode(&vec![row.clone()]), expected);
         let path = std::path::Path::new("x");
-        assert_eq!(decode::<Vec<PlanRow>>(&expected, path, "PLAN").unwrap(), [row.clone()]);
+        assert_eq!(decode::<Vec<PlanRow>>(&expected, path, "PLAN").unwrap(), std::slice::from_ref(&row));
         for cut in 0..expected.len() {
             assert!(decode::<Vec<PlanRow>>(&expected[..cut], path, "PLAN").is_err());
         }

@@ -169,6 +169,9 @@ const PAIRS_PER_PATH: u32 = 1024;
 const LOOKS: u32 = 2048;
 /// Light past all surfaces is none if it is less than this share of what surfaces show.
 const DARK: f32 = 1e-3;
+/// A larger gain than this says that the materials are not the probes'. It may hold for what reflects and not for what glows, so
+/// lamps are not traced then: a room whose albedo was 0.5 instead of 0.7 had lamps of twice their light.
+const LAMP_GAIN: f32 = 1.25;
 /// Surface points at most, and paths of each: so many that all are a 64th of the bake's directions, within these.
 const MOST_POINTS: usize = 1024;
 const PATHS_PER_POINT: [u64; 2] = [6, 96];
@@ -362,7 +365,8 @@ impl<'a> Gdibl<'a> {
             self.lamps = Lamps::find(self.scene, environment, &self.frame, self.probes, &self.placed);
         }
         let (choice, tracer) = self.weigh_unseen(unseen, places);
-        if !choice.traced && self.lamps.take().is_some() {
+        let is_known = choice.traced && choice.gain.iter().all(|gain| (1.0 / LAMP_GAIN..=LAMP_GAIN).contains(gain));
+        if !is_known && self.lamps.take().is_some() {
             // What was found while lamps did not count must not be remembered.
             self.surface_light = self.empty_surface_light();
         }
@@ -424,7 +428,7 @@ impl<'a> Gdibl<'a> {
                 100.0 * upper
             ),
         };
-        let tracer = (choice.traced || choice.trusted).then(|| Tracer { gain: agreement.gain, ..tracer });
+        let tracer = (choice.traced || choice.trusted).then_some(Tracer { gain: agreement.gain, ..tracer });
         (choice, tracer)
     }
 
@@ -1053,7 +1057,7 @@ impl RadianceFunction for Gdibl<'_> {
     fn audit(&self, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Option<Audit> {
         let place = number_of_place(origin);
         let others = self.probes.len().saturating_sub(1);
-        let by_paths = self.tracer.is_some() && self.unseen.trusted && (others == 0 || place % 2 == 0);
+        let by_paths = self.tracer.is_some() && self.unseen.trusted && (others == 0 || place.is_multiple_of(2));
         let (source, weight) = match (by_paths, others) {
             (true, _) => (Source::Paths, 1.0),
             (false, 0) => return None,

@@ -7,7 +7,7 @@
 //! and 10; Pharr, Jakob, Humphreys, "Physically Based Rendering", 4th ed., 2023, ch. 13.
 //!
 //! Both sides of every triangle block and reflect. Specular lobes are left out: metals reflect diffusely, or are black (see
-//! [`Metals`](crate::scene::Metals)). What lets light through straight lets paths pass by chance, tinted; what lets it
+//! [`Metals`]). What lets light through straight lets paths pass by chance, tinted; what lets it
 //! through diffusely sends some on from its other side.
 
 use glam::{Vec2, Vec3};

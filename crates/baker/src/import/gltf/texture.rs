@@ -104,7 +104,7 @@ impl Decoder {
             };
             old.image == image && old.sampler == sampler && puts
         };
-        let at = self.jobs.iter().position(|old| same(old));
+        let at = self.jobs.iter().position(same);
         let Some(at) = at else {
             self.jobs.push(Job { image, sampler, put });
             return Ok(Request(self.jobs.len() - 1));

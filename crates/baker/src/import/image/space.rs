@@ -5,9 +5,8 @@
 //! being true:
 //!
 //! 1. `acesImageContainerFlag` = 1: ACES 2065-1 (SMPTE ST 2065-4).
-//! 2. `colorInteropID`, `encoding_primaries_state`: `lin_ap1_scene`. `unknown` says nothing; `data` is no colour, and
-//! is read
-//!    as it is.
+//! 2. `colorInteropID`, `encoding_primaries_state`: `lin_ap1_scene`. `unknown` says nothing; `data` is no colour,
+//!    and is read as it is.
 //! 3. `chromaticities`.
 //!
 //! A `.hdr` file says it with PRIMARIES, or with FORMAT=32-bit_rle_xyze. A file that says nothing is linear Rec.709.

@@ -12,8 +12,8 @@ bake() { "$gdibl" bake "$@" --quiet --json 2> /dev/null; }
 row() {
   local name=$1 level=$levels/$2
   shift 2
-  bake "$level" "$@" --samples $directions -o "$out/a.gdibl" > "$out/cold.json"
-  bake "$level" "$@" --samples $directions -o "$out/a.gdibl" > "$out/warm.json"
+  bake "$level" "$@" --method gdibl --samples $directions -o "$out/a.gdibl" > "$out/cold.json"
+  bake "$level" "$@" --method gdibl --samples $directions -o "$out/a.gdibl" > "$out/warm.json"
   bake "$level" "$@" --samples $directions --method path --seed 1 -o "$out/path.gdibl" > "$out/path.json"
   bake "$level" "$@" --samples $((16 * directions)) --method path --seed 2 -o "$out/truth.gdibl" > "$out/truth.json"
   for volume in a path; do "$gdibl" compare "$out/$volume.gdibl" "$out/truth.gdibl" --json > "$out/$volume.compare.json"; done

@@ -130,7 +130,7 @@ def measure_bake(folder):
               for i, position in enumerate(PROBES)]
     toml.write_text(f'level = "{level}"\ndistant = "{lighting}/distant.exr"\n' + "".join(probes))
     sets = [word for name in SETS for word in ("--set", name)]
-    one_thread = ["--threads", 1, "--no-capture", "--json", "--quiet"]
+    one_thread = ["--threads", 1, "--json", "--quiet"]
     study = run(options.gdibl, "study", toml, "--reference", lighting / "reference.json", *sets, *one_thread, "--methods",
                 "gdibl", "--budgets", ",".join(map(str, BUDGETS)), "--repeats", options.repeats, "-o", folder / "study")
     points = next(method["points"] for method in study["study"]["methods"] if method["name"] == "gdibl")

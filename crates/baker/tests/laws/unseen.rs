@@ -134,6 +134,29 @@ fn grey_dummies_and_materials_that_were_not_read_are_filled_around() {
     assert!(!choice.traced && choice.trusted, "asked for: {choice:?}");
 }
 
+/// Paths of darker walls are brought to the probes by a gain. What glows is as bright as before.
+#[test]
+fn lamps_are_as_bright_as_probes_show_them_where_walls_are_not() {
+    let room = |albedo: f32| {
+        let mut scene = Scene::default();
+        let wall = Vec3::splat(albedo).extend(1.0);
+        scene.materials.push(Material { base_color: wall, metallic: 0.0, ..Material::default() });
+        scene.materials.push(Material { emission: Vec3::splat(8.0), metallic: 0.0, ..Material::default() });
+        add(&mut scene, Role::Environment, &box_of(DVec3::new(-3.0, -1.0, -2.0), DVec3::new(3.0, 2.0, 2.5)));
+        let lamp = solid_of(DVec3::new(-1.0, 1.9, -0.5), DVec3::new(1.0, 1.95, 0.5));
+        add(&mut scene, Role::Environment, &lamp[4..6]);
+        scene.meshes[1].material = 1;
+        scene
+    };
+    let (scene, hidden) = (room(0.65), room(0.5));
+    let probes = captured(&scene);
+    let mut function = Gdibl::new(&hidden, &probes, None, settings());
+    let choice = function.choose_unseen(Unseen::Auto, &nodes()).clone();
+    assert!(choice.traced && choice.gain.iter().all(|gain| *gain > 1.3), "{choice:?}");
+    let off = error(&scene, &bake_by(&function));
+    assert!(off < 0.06, "{off}");
+}
+
 #[test]
 fn what_probes_see_too_coarsely_is_a_guess_that_does_not_count_as_covered() {
     let mut scene = Scene::default();

@@ -4,6 +4,8 @@
 use assert_cmd::Command;
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
 use gdibl_baker::panorama::{Image, Mapping};
+use gdibl_runtime::Limits;
+use gdibl_runtime::format::{self, Codec, Filter, SectionEntry};
 use glam::DVec3;
 use serde_json::{Value, json};
 use std::f64::consts::PI;
@@ -267,4 +269,31 @@ pub fn python() -> Option<PathBuf> {
 /// A file of the repository.
 pub fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// The same file without compression, its sections changed by their names.
+pub fn with_sections(file: &[u8], mut change: impl FnMut(&[u8; 4], &mut Vec<u8>)) -> Vec<u8> {
+    let directory = format::parse_header_and_sections(file).unwrap();
+    let mut contents = Vec::new();
+    let mut entries = Vec::new();
+    for entry in &directory.sections {
+        let mut bytes = directory.section_bytes(entry.id, &Limits::default()).unwrap().unwrap().into_owned();
+        change(&entry.id, &mut bytes);
+        entries.push(SectionEntry {
+            codec: Codec::Raw,
+            filter: Filter::None,
+            stored_size: bytes.len() as u64,
+            raw_size: bytes.len() as u64,
+            crc32: format::crc32(&bytes),
+            ..*entry
+        });
+        contents.push(bytes);
+    }
+    format::place_sections(&mut entries);
+    let mut bytes = format::directory_to_bytes(&directory.header, &entries);
+    for (entry, contents) in entries.iter().zip(&contents) {
+        bytes.resize(entry.offset as usize, 0);
+        bytes.extend_from_slice(contents);
+    }
+    bytes
 }

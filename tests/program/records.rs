@@ -1,36 +1,17 @@
 //! Files of older and newer programs: records with more fields, and with fewer.
 
-use crate::common::{Folder, Level};
-use gdibl_runtime::Limits;
-use gdibl_runtime::format::{self, SectionEntry};
+use crate::common::{Folder, Level, with_sections};
 
 /// The same file with other bytes in one section.
 fn with_section(file: &[u8], id: &[u8; 4], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
-    let directory = format::parse_header_and_sections(file).unwrap();
     let mut changed = 0;
-    let mut contents: Vec<Vec<u8>> = Vec::new();
-    for entry in &directory.sections {
-        let mut bytes = directory.section_bytes(entry.id, &Limits::default()).unwrap().unwrap().into_owned();
-        if entry.id == *id {
-            change(&mut bytes);
+    let bytes = with_sections(file, |found, bytes| {
+        if found == id {
+            change(bytes);
             changed += 1;
         }
-        contents.push(bytes);
-    }
+    });
     assert_eq!(changed, 1, "the file has the section");
-    let entry = |(entry, bytes): (&SectionEntry, &Vec<u8>)| SectionEntry {
-        stored_size: bytes.len() as u64,
-        raw_size: bytes.len() as u64,
-        crc32: format::crc32(bytes),
-        ..*entry
-    };
-    let mut entries: Vec<SectionEntry> = directory.sections.iter().zip(&contents).map(entry).collect();
-    format::place_sections(&mut entries);
-    let mut bytes = format::directory_to_bytes(&directory.header, &entries);
-    for (entry, contents) in entries.iter().zip(&contents) {
-        bytes.resize(entry.offset as usize, 0);
-        bytes.extend_from_slice(contents);
-    }
     bytes
 }
 

@@ -14,6 +14,7 @@ fn other(row: &Row) -> (&'static str, &'static [&'static str]) {
         "tolerance" => ("0.5", &[]),
         "samples" if row.section == "quality" => ("32", &[]),
         "target_error" if row.section == "quality" => ("0.5", &[]),
+        "seen_places" => ("3", &[]),
         "seed" => ("7", &[]),
         "sampler" => ("random", &[]),
         "method" => ("path", &[]),
@@ -117,7 +118,7 @@ fn times_are_stored_only_if_asked_for() {
         let told = report["stages"].as_array().unwrap().clone();
         assert!(told.iter().all(|stage| stage["seconds"]["wall"].as_f64().unwrap() >= 0.0), "{report}");
         let names: Vec<&str> = told.iter().map(|stage| stage["stage"].as_str().unwrap()).collect();
-        assert_eq!(names, ["read", "prepare", "nodes", "pack"]);
+        assert_eq!(names, ["read", "prepare", "nodes", "seen", "pack"]);
         folder.inspect("room.gdibl")["statistics"]["stages"].as_array().unwrap().clone()
     };
     assert!(stages(&[]).iter().all(|stage| stage["seconds"].is_null()));

@@ -5,7 +5,7 @@
 //! ```text
 //! import ─→ scene, panorama ─→ trace ─→ radiance ─→ bake ─→ pack ─→ .gdibl
 //!                                          ↑          ↑
-//!                                   gdibl or path  sampling        beside it: capture, render, cut; around it: job
+//!                                   gdibl or path  sampling        beside it: capture, render, cut, seen; around it: job
 //! ```
 //! [`job`] puts a whole bake together. Only [`import`] knows files, and [`pack`] how one is written whole; the library never
 //! prints. World axes are glTF's: right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance
@@ -54,6 +54,7 @@ pub mod radiance;
 pub mod render;
 pub mod sampling;
 pub mod scene;
+pub mod seen;
 pub mod trace;
 mod whole;
 

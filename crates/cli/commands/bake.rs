@@ -196,8 +196,10 @@ fn text(report: &Report, place: &str, precision: Precision) -> String {
     };
     let statistics = &report.statistics;
     let millions = |count: u64| count as f64 / 1e6;
-    let mut lines = vec![
-        report.output.clone(),
+    let mut lines = vec![report.output.clone()];
+    let seen = statistics.seen.iter().flat_map(super::seen_lines);
+    lines.extend(seen.map(|(name, text)| format!("  {name:<9} {text}")));
+    lines.extend([
         format!("  nodes     {} ({}), {} valid", statistics.nodes, place, statistics.nodes_valid),
         format!("  standing  {}", super::standing_text(&statistics.standing, statistics.walls.as_ref())),
         format!("  light     {} in {numbers}, {} bytes", report.sh, report.bytes),
@@ -210,7 +212,7 @@ fn text(report: &Report, place: &str, precision: Precision) -> String {
         ),
         format!("  stages    {}", super::stages_text(&statistics.stages)),
         format!("  noise     {}", super::noise_text(statistics)),
-    ];
+    ]);
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<9} {text}"));
     super::systematic_text(statistics).into_iter().for_each(|text| row("bias", text));
     if !statistics.coverage.is_nan() {

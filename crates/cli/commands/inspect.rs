@@ -157,6 +157,8 @@ fn sections(directory: &Directory) -> Vec<SectionReport> {
 fn text(report: &Report, header: &Header) -> String {
     let mut lines = vec![format!("{}: version {}, {} bytes", report.file, report.version, report.bytes)];
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<11} {text}"));
+    let seen = report.statistics.as_ref().and_then(|statistics| statistics.seen.as_ref());
+    seen.into_iter().flat_map(super::seen_lines).for_each(|(name, text)| row(name, text));
     row("kind", kind_text(report, header));
     let [a, b] = [report.min, report.max].map(|p| format!("{:.3} {:.3} {:.3}", p[0], p[1], p[2]));
     row("box", format!("{a}  to  {b}"));

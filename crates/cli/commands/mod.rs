@@ -12,8 +12,8 @@ pub mod sample;
 pub mod study;
 
 use gdibl_baker::job::records::{
-    DeringingRecord, ErrorSummary, PackingRecord, Record, SparseLevel, SparseRecord, StageRecord, StandingRecord,
-    StatisticsRecord, SunRecord, WallsRecord, decode,
+    DeringingRecord, ErrorSummary, PackingRecord, Record, SeenErrors, SeenRecord, SeenSet, SparseLevel, SparseRecord,
+    StageRecord, StandingRecord, StatisticsRecord, SunRecord, WallsRecord, decode,
 };
 use gdibl_runtime::format::{Directory, Limits};
 use std::path::Path;
@@ -72,6 +72,46 @@ fn sparse_lines(sparse: &SparseRecord) -> Vec<String> {
         format!("{} cells {} wide, {error}", row.cells, 1 << level)
     };
     rows.map(text).collect()
+}
+
+/// The error that people see, in words: its name and a line each.
+fn seen_lines(seen: &SeenRecord) -> Vec<(&'static str, String)> {
+    let sets = [("seen", "in the air", &seen.air), ("", "on surfaces", &seen.surfaces)];
+    let known = sets.into_iter().filter_map(|(name, place, set)| set.as_ref().map(|set| (name, place, set)));
+    known
+        .flat_map(|(name, place, set)| seen_set_lines(place, set).into_iter().zip([name, ""]))
+        .map(|(l, n)| (n, l))
+        .collect()
+}
+
+fn seen_set_lines(place: &str, set: &SeenSet) -> [String; 2] {
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let SeenErrors { median, p95, p99, max } = set.error;
+    let [x, y, z] = set.worst;
+    let parts = &set.parts;
+    let systematic = match parts.systematic {
+        0.0 => String::new(),
+        share => format!("; beside it bias {}", percent(share)),
+    };
+    [
+        format!(
+            "{} median, {} 95th percentile, {} 99th, {} worst at {x:.2} {y:.2} {z:.2}: error {place}, {} places",
+            percent(median),
+            percent(p95),
+            percent(p99),
+            percent(max),
+            set.places
+        ),
+        format!(
+            "  of it noise {}, between nodes {}, bands {}, numbers {} (root mean squares){systematic}; against mid-grey {} and {}",
+            percent(parts.noise),
+            percent(parts.between),
+            percent(parts.bands),
+            percent(parts.packing),
+            percent(set.error_in_grey.median),
+            percent(set.error_in_grey.p95),
+        ),
+    ]
 }
 
 /// The sun that an engine adds, in words.

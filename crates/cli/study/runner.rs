@@ -94,6 +94,8 @@ impl Runner<'_> {
             Method::GdiblRandom => quality.sampler = Sampler::Random,
             _ => {}
         }
+        // A study compares nodes, at its own reference.
+        quality.seen_places = Some(0);
         let advance = |nodes: u64, rays: u64| progress.advance(nodes * samples, rays);
         let (clock, setup) = (Clock::start(), Cell::new([0.0; 2]));
         let stage = |stage| {

@@ -14,23 +14,25 @@ mod statistics;
 mod stop;
 mod text;
 
+use gdibl_runtime::Volume;
 use glam::DVec3;
 use std::sync::atomic::AtomicBool;
 
 use crate::bake::{self, Baked, Nodes};
 use crate::exposure::{ExposureMatch, match_exposure};
-use crate::pack::{Sections, sections};
+use crate::pack::{PackSettings, Sections, pack, sections};
 use crate::radiance::gdibl::Gdibl;
 use crate::radiance::path::{Path, light_without_end};
 use crate::radiance::unseen::UNSEEN_PLACES;
 use crate::radiance::{Distant, RadianceFunction};
+use crate::seen::{self, HeldOut};
 use crate::{Control, Finding, Interrupted};
 use bands::Truncation;
 pub use inputs::Inputs;
 use records::{InputRecord, PlanRow, Records, SettingRecord, SettingsRecord, StageRecord, StatisticsRecord, SunRecord};
 pub use settings::{CapturePlan, GridSettings, OutOfRange, QualitySettings, ROWS, Row, Settings};
 pub use statistics::check_valid;
-use statistics::{findings_of, probe_records};
+use statistics::{blurred_sun, findings_of, probe_records};
 pub use stop::Stop;
 pub use text::{Bands, Method, NodeKind, Punctual, SunLight, Text};
 
@@ -46,6 +48,8 @@ pub enum Stage {
     Prepare,
     /// Nodes are sampled, filled, and what stands between them is found.
     Nodes,
+    /// Light is sampled between nodes.
+    Seen,
     /// Bands, numbers and sections of the file.
     Pack,
 }
@@ -56,6 +60,7 @@ impl Stage {
         match self {
             Stage::Prepare => "prepare",
             Stage::Nodes => "nodes",
+            Stage::Seen => "seen",
             Stage::Pack => "pack",
         }
     }
@@ -173,7 +178,7 @@ impl Job {
     /// No node has light of its own, or the caller cancelled.
     pub fn run(self, watch: &Watch) -> Result<Made, Stop> {
         let (method, mut rows) = (self.method(), self.first_rows());
-        let Sampled { nodes, mut baked, sparse, decided } = self.sample(&self.settings, true, watch)?;
+        let Sampled { nodes, mut baked, sparse, held_out, decided } = self.sample(&self.settings, true, watch)?;
         check_valid(&baked).map_err(Stop::Nothing)?;
         bake::check_finite(nodes.as_ref().unwrap_or(&self.nodes), &baked, &self.inputs.scene)
             .map_err(|why| Stop::Invalid(format!("{}: {why}", self.inputs.level)))?;
@@ -192,10 +197,14 @@ impl Job {
         let mut findings = self.inputs.findings.clone();
         findings.extend(decided.findings);
         findings.extend(findings_of(&baked, quality.clamp.unwrap_or(f32::INFINITY)));
-        let stage = StageRecord { stage: Stage::Nodes.name().into(), rays: baked.rays, seconds: None };
-        let statistics =
-            StatisticsRecord { sun: self.sun, sparse, findings, stages: vec![stage], ..StatisticsRecord::of(&baked) };
+        let stage = |stage: Stage, rays| StageRecord { stage: stage.name().into(), rays, seconds: None };
+        let mut stages = vec![stage(Stage::Nodes, baked.rays)];
+        stages.extend(held_out.as_ref().map(|held_out| stage(Stage::Seen, held_out.rays())));
+        let seen = held_out.map(|held_out| held_out.errors(&nodes, &baked, &as_read(&nodes, &baked, &self.settings)));
         let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
+        findings.extend(seen.and_then(|seen| blurred_sun(&seen, distant.filter(|_| self.sun.is_none()))));
+        let statistics =
+            StatisticsRecord { sun: self.sun, sparse, findings, stages, seen, ..StatisticsRecord::of(&baked) };
         let probes = probe_records(&self.inputs.probes, distant);
         let Inputs { level, files, program, .. } = self.inputs;
         let records = Records {
@@ -328,6 +337,8 @@ pub struct Sampled {
     pub baked: Baked,
     /// How sparse the grid is.
     pub sparse: Option<records::SparseRecord>,
+    /// Light between nodes.
+    pub held_out: Option<HeldOut>,
     /// What the radiance function decided.
     pub decided: Decided,
 }
@@ -355,7 +366,17 @@ impl Work for Sample<'_, '_> {
             }
             _ => (None, bake::bake(&job.nodes, function, &bake_settings, &control)?, None),
         };
-        Ok(Sampled { nodes, baked, sparse, decided })
+        let all = nodes.as_ref().unwrap_or(&job.nodes);
+        let count = settings.quality.seen_places.map_or_else(|| seen::usual_count(all.len()), |count| count as usize);
+        let mut held_out = None;
+        if count > 0 && matches!(all, Nodes::Grid(_) | Nodes::Sparse(_)) {
+            (watch.stage)(Stage::Seen);
+            let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
+            // As many directions as a node took.
+            let samples = baked.samples.div_ceil(baked.valid_nodes().count().max(1) as u64);
+            held_out = seen::hold_out(all, &job.inputs.scene, count, samples, function, &bake_settings, &control)?;
+        }
+        Ok(Sampled { nodes, baked, sparse, held_out, decided })
     }
 }
 
@@ -364,6 +385,12 @@ impl Made {
     pub fn sections(self) -> Sections {
         sections(&self.nodes, &self.baked, self.records, self.settings.pack())
     }
+}
+
+/// The volume as an engine reads it from the file.
+fn as_read(nodes: &Nodes, baked: &Baked, settings: &Settings) -> Volume {
+    let packing = PackSettings { zstd: false, ..settings.pack() };
+    Volume::parse(&pack(nodes, baked, Records::default(), packing).bytes).expect("what was packed parses")
 }
 
 /// What a job may take.

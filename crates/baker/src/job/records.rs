@@ -168,7 +168,77 @@ later {
     stages: Vec<StageRecord>,
     /// Relative systematic error of E over valid nodes, what more directions do not take away; `None` where nothing tells.
     systematic_error: Option<ErrorSummary>,
+    /// Error where an engine reads light; `None` where nothing is read between nodes, or it was not measured.
+    seen: Option<SeenRecord>,
 }
+}
+
+/// Error of irradiance at held-out places, as the runtime reads the file, against the bake's own method: see [`crate::seen`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct SeenRecord {
+    /// Anywhere in the open, with normals of all directions; `None` where no such place is lit.
+    pub air: Option<SeenSet>,
+    /// On surfaces, with their normals; `None` where no such place is lit.
+    pub surfaces: Option<SeenSet>,
+}
+
+/// Errors at some places.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct SeenSet {
+    /// How many places.
+    pub places: u64,
+    /// Over the larger of E there and a tenth of the median of E: root mean square over red, green and blue.
+    pub error: SeenErrors,
+    /// Over the larger of E there and 18 % of the mean of E: as an eye sees it whose mid-grey is the room's mean.
+    pub error_in_grey: SeenErrors,
+    /// Where `error` is greatest, world metres.
+    pub worst: [f64; 3],
+    /// What it is made of.
+    pub parts: SeenParts,
+}
+
+/// Root mean square of each part of an error over all places, over the same as [`SeenSet::error`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct SeenParts {
+    /// Noise of the nodes around.
+    pub noise: f64,
+    /// Light between nodes is not what nodes say.
+    pub between: f64,
+    /// Bands that are not stored.
+    pub bands: f64,
+    /// Numbers in the file, and de-ringing.
+    pub packing: f64,
+    /// Systematic error of the nodes around, which the truth here shares: not in `error`.
+    pub systematic: f64,
+}
+
+/// Order statistics of errors.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct SeenErrors {
+    /// Half are under it.
+    pub median: f64,
+    /// 95 % are under it.
+    pub p95: f64,
+    /// 99 % are under it.
+    pub p99: f64,
+    /// The worst.
+    pub max: f64,
+}
+
+impl SeenErrors {
+    /// Of finite errors; `None` if there is none or one is not finite.
+    pub fn of(errors: impl Iterator<Item = f64>) -> Option<SeenErrors> {
+        let [median, p95, p99, max] = ranks(errors, [0.5, 0.95, 0.99, 1.0])?;
+        Some(SeenErrors { median, p95, p99, max })
+    }
+}
+
+/// The values at ranks ceil(q n) of finite numbers: at least the share q lies at or under each.
+fn ranks<const N: usize>(numbers: impl Iterator<Item = f64>, shares: [f64; N]) -> Option<[f64; N]> {
+    let mut sorted: Vec<f64> = numbers.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.last().filter(|last| last.is_finite())?;
+    Some(shares.map(|q| sorted[((q * sorted.len() as f64).ceil() as usize).clamp(1, sorted.len()) - 1]))
 }
 
 /// One stage of a bake.
@@ -295,12 +365,8 @@ pub struct ErrorSummary {
 impl ErrorSummary {
     /// Of finite errors; `None` if there is none or one is not finite.
     pub fn of(errors: impl Iterator<Item = f64>) -> Option<ErrorSummary> {
-        let mut sorted: Vec<f64> = errors.collect();
-        sorted.sort_by(f64::total_cmp);
-        let max = *sorted.last()?;
-        // The value at rank ceil(q·n): at least that share lies at or under it.
-        let rank = |q: f64| sorted[((q * sorted.len() as f64).ceil() as usize).clamp(1, sorted.len()) - 1];
-        max.is_finite().then(|| ErrorSummary { median: rank(0.5), p95: rank(0.95), max })
+        let [median, p95, max] = ranks(errors, [0.5, 0.95, 1.0])?;
+        Some(ErrorSummary { median, p95, max })
     }
 }
 

@@ -182,6 +182,9 @@ settings! {
             |samples| samples.is_none_or(|n| (1..=BakeSettings::MAX_SAMPLES).contains(&n)) => "1 to 2147483648";
         /// Sample each node until the relative error of its irradiance is at most this (0.01 is 1 %)
         "F" target_error: Option<f64> = None, is_share => "a positive share, 0.01 for 1 %";
+        /// Places in the air, and as many on surfaces, where the error is measured as an engine sees it; 0: nowhere
+        /// [default: a 16th of the nodes, 8 to 256]
+        "N" seen_places: Option<u32> = None, |places| places.is_none_or(|n| n <= 1 << 20) => "0 to 1048576";
         /// Same seed, same bytes [default: 0]
         "N" seed: u64 = 0;
         /// Worker threads; the result does not depend on it [default: all]

@@ -1,10 +1,13 @@
 //! What came of a bake, in figures.
 
-use super::records::{ErrorSummary, ProbeRecord, StandingRecord, StatisticsRecord, WallsRecord};
+use super::records::{ErrorSummary, ProbeRecord, SeenRecord, StandingRecord, StatisticsRecord, WallsRecord};
 use crate::Finding;
 use crate::bake::{Baked, Standing};
 use crate::radiance::Distant;
 use crate::radiance::gdibl::Probe;
+
+/// Bands that lose this share of irradiance, root mean square over places, lose much of a sun.
+const MUCH_OF_A_SUN: f64 = 0.05;
 
 impl StatisticsRecord {
     /// What a volume itself tells: without findings, stages, and what was left out of its light.
@@ -83,6 +86,20 @@ pub fn findings_of(baked: &Baked, clamp: f32) -> Vec<Finding> {
         Finding::new("no-light", 1, message)
     });
     clamped.into_iter().chain(dropped).chain(dark).collect()
+}
+
+/// A sun of which the bands that are stored lose much: a finding, with what to do.
+pub fn blurred_sun(seen: &SeenRecord, distant: Option<&Distant>) -> Option<Finding> {
+    let sets = [seen.air, seen.surfaces].into_iter().flatten();
+    let lost = sets.map(|set| set.parts.bands).fold(0.0, f64::max);
+    let distant = distant.filter(|distant| lost > MUCH_OF_A_SUN && Distant::clone(distant).extract_sun().is_some())?;
+    let message = format!(
+        "{}: the bands that are stored blur its sun: irradiance is off by {:.0} % from that (root mean square); --sun extract \
+         leaves the sun's direct light to the engine, sharp",
+        distant.name,
+        100.0 * lost
+    );
+    Some(Finding::new("sun-blurred", 1, message))
 }
 
 /// Probes, then the distant panorama.

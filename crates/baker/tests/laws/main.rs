@@ -1,5 +1,6 @@
 //! Laws that every bake obeys, whatever the level: numbers come after.
 
+mod between;
 mod blending;
 mod cut;
 mod deringing;

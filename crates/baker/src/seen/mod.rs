@@ -1,0 +1,259 @@
+//! The error that people see: light as the runtime reads it from the file, between nodes, against the bake's own method at the same
+//! places. At a node light is as right as its noise; between nodes, where an engine draws, it is not.
+//!
+//! Places are held out: no node stands there, in the air with normals of all directions, and on surfaces with their own. The true
+//! E of a place is summed straight over its hemisphere ([`irradiance_at`]), by as many directions as a node takes. A quarter as many find
+//! its light to the bands that are stored, which tells what the other bands would add.
+//!
+//! The noise of the truth is taken out. With d the difference at a place, t the standard error of the truth there, and v that of
+//! the nodes' light, what is left is d √(s² / (s² + t²)), where s² = v² + max(d² - v² - t², 0) is the square of what is to be expected
+//! of the volume's own error: a great difference stays, and of a small one the volume's share is left. The parts are root mean
+//! squares over all places: so their noise can be subtracted as it is.
+
+pub mod places;
+
+use gdibl_runtime::Volume;
+use glam::{DVec3, Vec3};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::bake::{
+    BakeSettings, Baked, GatherSettings, Gathered, Nodes, SparseGrid, SurfacePlace, bake, irradiance_at, irradiance_of,
+    root_mean_square,
+};
+use crate::job::records::{SeenErrors, SeenParts, SeenRecord, SeenSet};
+use crate::pack::volume_of;
+use crate::radiance::RadianceFunction;
+use crate::scene::Scene;
+use crate::{Control, Interrupted};
+use places::{Place, in_the_air, on_surfaces};
+
+/// Places of either kind when nothing is said: a share of the nodes, within bounds.
+const SHARE: usize = 16;
+const LEAST: usize = 8;
+const MOST: usize = 256;
+/// Places are looked for so many times as often as they are wanted, with so many directions each: some lie in solids, or in the dark.
+const TRIES: u32 = 4;
+const PILOT: u64 = 64;
+/// Of the directions for E at a place, so many find its coefficients.
+const COEFFICIENTS: u64 = 4;
+/// Places lie off their surface by so many trace units, as nodes at vertices do.
+const LIFT: f32 = 5e-3;
+/// Where next to no light gets, this share of the median, two surfaces touch and nobody looks.
+const HIDDEN: f64 = 1e-3;
+/// The least light that errors are relative to: a tenth of the median; and for those who set their exposure by the room's mean, the
+/// share of it that is shown as mid-grey.
+const FLOOR: f64 = 0.1;
+const MID_GREY: f64 = 0.18;
+/// Places have random numbers of their own.
+const OWN_SEED: u64 = 0x5ee4_0000_0000;
+
+/// Places in the open, and the light there.
+#[derive(Debug)]
+pub struct HeldOut {
+    places: Vec<Place>,
+    /// How many of them are in the air; the others are on surfaces.
+    in_the_air: usize,
+    /// E at each.
+    truth: Vec<Gathered>,
+    /// Their light as nodes have it.
+    baked: Baked,
+    rays: u64,
+}
+
+/// How many places of either kind tell the error of so many nodes.
+pub fn usual_count(nodes: usize) -> usize {
+    (nodes / SHARE).clamp(LEAST, MOST)
+}
+
+/// Samples up to `count` places in the air, and on surfaces, in the box of a grid, by `samples` directions each. `None`: between nodes
+/// nothing is read, or no light reaches any place.
+pub fn hold_out(
+    nodes: &Nodes,
+    scene: &Scene,
+    count: usize,
+    samples: u64,
+    function: &impl RadianceFunction,
+    settings: &BakeSettings,
+    control: &Control,
+) -> Result<Option<HeldOut>, Interrupted> {
+    let (Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. })) = nodes else { return Ok(None) };
+    let bounds = [grid.min, grid.max].map(DVec3::from);
+    let tries = TRIES * count as u32;
+    let lift = function.frame().metres(LIFT).into();
+    let seed = settings.seed ^ OWN_SEED;
+    let bake_at = |places: &[Place], samples: u64| {
+        let samples = samples.clamp(1, BakeSettings::MAX_SAMPLES);
+        let own = BakeSettings { samples, target_error: None, seed, coefficient_errors: false, ..settings.clone() };
+        bake(&points_of(places), function, &own, control)
+    };
+    let mut rays = 0;
+    let mut lit = |places: Vec<Place>| -> Result<Vec<Place>, Interrupted> {
+        let pilot = bake_at(&places, PILOT.min(samples))?;
+        rays += pilot.rays;
+        let light = |node: usize| root_mean_square(&irradiance_of(pilot.node(node)));
+        let hidden = HIDDEN * median(pilot.valid_nodes().map(light));
+        Ok(pilot.valid_nodes().filter(|node| light(*node) > hidden).map(|node| places[node]).take(count).collect())
+    };
+    let mut places = lit(in_the_air(bounds, tries, seed))?;
+    let in_the_air = places.len();
+    places.extend(lit(on_surfaces(scene, bounds, lift, tries, seed))?);
+    if places.is_empty() {
+        return Ok(None);
+    }
+    let asked: Vec<SurfacePlace> =
+        places.iter().map(|Place { position, normal }| SurfacePlace { position: *position, normal: *normal }).collect();
+    let gather = GatherSettings { samples, seed, sampler: settings.sampler, guided: settings.importance };
+    let traced = AtomicU64::new(0);
+    let count = |places, rays| {
+        traced.fetch_add(rays, Ordering::Relaxed);
+        (control.progress)(places, rays);
+    };
+    let truth = irradiance_at(&asked, function, &gather, &Control { cancel: control.cancel, progress: &count })?;
+    let baked = bake_at(&places, samples / COEFFICIENTS)?;
+    let rays = rays + traced.into_inner() + baked.rays;
+    Ok(Some(HeldOut { places, in_the_air, truth, baked, rays }))
+}
+
+impl HeldOut {
+    /// Rays that it took to know the light there.
+    pub fn rays(&self) -> u64 {
+        self.rays
+    }
+
+    /// The errors of a volume there. `file` is what an engine reads, `baked` was stored in it.
+    pub fn errors(&self, nodes: &Nodes, baked: &Baked, file: &Volume) -> SeenRecord {
+        let here = volume_of(&points_of(&self.places), &self.baked);
+        let exact = volume_of(nodes, baked);
+        let sizes = |baked: &Baked| -> Vec<f64> {
+            (0..baked.len()).map(|node| root_mean_square(&irradiance_of(baked.node(node)))).collect()
+        };
+        let errors_of = |baked: &Baked, sizes: &[f64]| -> Vec<f64> {
+            let floor = FLOOR * median(baked.valid_nodes().map(|node| sizes[node]));
+            (0..baked.len()).map(|node| f64::from(baked.relative_error[node]) * sizes[node].max(floor)).collect()
+        };
+        let noise_here = errors_of(&self.baked, &sizes(&self.baked));
+        let noise_of_nodes = errors_of(baked, &sizes(baked));
+        let (bands, count) = (baked.bands, self.places.len());
+        let found: Vec<Found> = (0..count)
+            .filter(|place| self.truth[*place].standard_error.is_finite())
+            .map(|number| {
+                let Place { position, normal } = self.places[number];
+                let Gathered { irradiance: expected, standard_error, .. } = self.truth[number];
+                let expected = expected.as_vec3();
+                let [stored, as_baked] = [file, &exact]
+                    .map(|volume| Vec3::from(volume.irradiance_f64(position.to_array(), normal.to_array())));
+                let to_bands = here.node_sh(number).truncate(bands).convolve();
+                let to_bands = Vec3::from(to_bands.evaluate(normal.to_array()));
+                Found {
+                    position,
+                    in_the_air: number < self.in_the_air,
+                    light: size(expected),
+                    difference: size(stored - expected),
+                    noise_of_truth: size(standard_error.as_vec3()),
+                    noise_here: noise_here[number],
+                    noise: noise_between(&exact, baked, &noise_of_nodes, position),
+                    between: size(as_baked - to_bands),
+                    bands: size(expected - to_bands),
+                    packing: size(stored - as_baked),
+                    systematic: systematic_between(&exact, baked, position),
+                }
+            })
+            .collect();
+        let set = |in_the_air: bool| {
+            let own: Vec<&Found> = found.iter().filter(|found| found.in_the_air == in_the_air).collect();
+            set_of(&own)
+        };
+        SeenRecord { air: set(true), surfaces: set(false) }
+    }
+}
+
+fn points_of(places: &[Place]) -> Nodes {
+    Nodes::Points(places.iter().map(|place| place.position).collect())
+}
+
+/// What was found at a place. Lights and errors are root mean squares of E over red, green and blue.
+struct Found {
+    position: DVec3,
+    in_the_air: bool,
+    light: f64,
+    difference: f64,
+    noise_of_truth: f64,
+    /// Standard error of the light at the place to the bands that are stored.
+    noise_here: f64,
+    /// Standard error of the nodes' light there.
+    noise: f64,
+    /// Of the nodes' light against that at the place, to the bands that are stored.
+    between: f64,
+    bands: f64,
+    packing: f64,
+    /// Relative.
+    systematic: f64,
+}
+
+impl Found {
+    /// The difference without the noise of the truth.
+    fn error(&self) -> f64 {
+        let [difference, noise, of_truth] = [self.difference, self.noise, self.noise_of_truth].map(|e| e * e);
+        let own = noise + (difference - noise - of_truth).max(0.0);
+        if own == 0.0 { 0.0 } else { self.difference * (own / (own + of_truth)).sqrt() }
+    }
+}
+
+/// `None` without a place that light reaches.
+fn set_of(all: &[&Found]) -> Option<SeenSet> {
+    let hidden = HIDDEN * median(all.iter().map(|found| found.light));
+    let lit: Vec<&&Found> = all.iter().filter(|found| found.light > hidden).collect();
+    let floor = FLOOR * median(lit.iter().map(|found| found.light));
+    let mean = lit.iter().map(|found| found.light).sum::<f64>() / lit.len().max(1) as f64;
+    let relative = |found: &Found, error: f64| error / found.light.max(floor);
+    let worst = lit.iter().max_by(|a, b| relative(a, a.error()).total_cmp(&relative(b, b.error())))?;
+    // Squares of parts without those of their noise, which are right in the mean alone.
+    let part = |square: &dyn Fn(&Found) -> f64| {
+        let sum: f64 = lit.iter().map(|found| square(found) / found.light.max(floor).powi(2)).sum();
+        (sum / lit.len() as f64).max(0.0).sqrt()
+    };
+    Some(SeenSet {
+        places: lit.len() as u64,
+        error: SeenErrors::of(lit.iter().map(|found| relative(found, found.error())))?,
+        error_in_grey: SeenErrors::of(lit.iter().map(|found| found.error() / found.light.max(MID_GREY * mean)))?,
+        worst: worst.position.to_array(),
+        parts: SeenParts {
+            noise: part(&|found| found.noise.powi(2)),
+            between: part(&|found| found.between.powi(2) - found.noise.powi(2) - found.noise_here.powi(2)),
+            bands: part(&|found| found.bands.powi(2) - found.noise_of_truth.powi(2) - found.noise_here.powi(2)),
+            packing: part(&|found| found.packing.powi(2)),
+            systematic: part(&|found| (found.systematic * found.light.max(floor)).powi(2)),
+        },
+    })
+}
+
+fn size(irradiance: Vec3) -> f64 {
+    (f64::from(irradiance.length_squared()) / 3.0).sqrt()
+}
+
+/// 0 of nothing.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    SeenErrors::of(values).map_or(0.0, |all| all.median)
+}
+
+/// The valid nodes around a place, and their weights, which add up to 1; none where there is none. Walls between them count not.
+fn nodes_around(volume: &Volume, baked: &Baked, position: DVec3) -> Vec<(usize, f64)> {
+    let Some(cell) = volume.cell(position.to_array()) else { return Vec::new() };
+    let all = cell.nodes.iter().zip(cell.weights).map(|(node, weight)| (*node as usize, f64::from(weight)));
+    let mut valid: Vec<(usize, f64)> = all.filter(|(node, _)| baked.is_valid(*node)).collect();
+    let total: f64 = valid.iter().map(|(_, weight)| weight).sum();
+    valid.iter_mut().for_each(|(_, weight)| *weight /= total.max(f64::MIN_POSITIVE));
+    valid
+}
+
+/// Standard error of what nodes say between them; `errors` are their own.
+fn noise_between(volume: &Volume, baked: &Baked, errors: &[f64], position: DVec3) -> f64 {
+    let squares = nodes_around(volume, baked, position).into_iter().map(|(node, w)| (w * errors[node]).powi(2));
+    squares.sum::<f64>().sqrt()
+}
+
+/// Systematic error of nodes, which they share.
+fn systematic_between(volume: &Volume, baked: &Baked, position: DVec3) -> f64 {
+    let shares = nodes_around(volume, baked, position).into_iter();
+    shares.map(|(node, w)| w * f64::from(baked.systematic_error[node])).sum()
+}

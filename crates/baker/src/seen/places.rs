@@ -26,7 +26,7 @@ pub fn in_the_air([min, max]: [DVec3; 2], count: u32, seed: u64) -> Vec<Place> {
 }
 
 /// Places on the front sides of what surfaces a box holds, evenly by area, lifted off them by so many metres. Of a two-sided
-/// surface either side may be the front.
+/// surface either side may be the front. At most `count`: those that lie outside of the box, lifted, are left out.
 pub fn on_surfaces(scene: &Scene, bounds: [DVec3; 2], lift: f64, count: u32, seed: u64) -> Vec<Place> {
     let stream = Stream::new(Sampler::Sobol, seed, 1, 0);
     let mut triangles = Vec::new();
@@ -54,7 +54,9 @@ pub fn on_surfaces(scene: &Scene, bounds: [DVec3; 2], lift: f64, count: u32, see
         let position = place_in(&clipped(corners, bounds), first.into(), second.into());
         Place { position: position + normal * lift, normal: normal.as_vec3() }
     };
-    if triangles.is_empty() { Vec::new() } else { (0..count).map(place).collect() }
+    let [min, max] = bounds;
+    let inside = |place: &Place| place.position.cmpge(min).all() && place.position.cmple(max).all();
+    if triangles.is_empty() { Vec::new() } else { (0..count).map(place).filter(inside).collect() }
 }
 
 /// The part of a triangle that lies in a box, a convex polygon. Based on: Sutherland and Hodgman, "Reentrant Polygon Clipping",
@@ -124,14 +126,10 @@ mod tests {
 
     #[test]
     fn a_triangle_is_cut_to_the_area_that_lies_in_the_box() {
-        let around =
-            |size: f64| [DVec3::new(-size, 0.5, -size), DVec3::new(-size, 0.5, size), DVec3::new(size, 0.5, -size)];
+        let at = |x: f64, z: f64| DVec3::new(x, 0.5, z);
+        let around = |size: f64| [at(-size, -size), at(-size, 3.0 * size), at(3.0 * size, -size)];
         // Half of the unit square lies under x + z = 1; the whole of it well within a large triangle.
-        assert!(
-            (area_of(&clipped([DVec3::Y * 0.5, DVec3::new(0.0, 0.5, 1.0), DVec3::new(1.0, 0.5, 0.0)], UNIT)) - 0.5)
-                .abs()
-                < 1e-12
-        );
+        assert!((area_of(&clipped([at(0.0, 0.0), at(0.0, 1.0), at(1.0, 0.0)], UNIT)) - 0.5).abs() < 1e-12);
         assert!((area_of(&clipped(around(1000.0), UNIT)) - 1.0).abs() < 1e-9);
         assert_eq!(area_of(&clipped(around(1.0).map(|corner| corner + DVec3::Y), UNIT)), 0.0);
     }
@@ -166,6 +164,15 @@ mod tests {
         let up = places.iter().filter(|place| place.normal == Vec3::Y).count();
         assert!((400..=624).contains(&up), "{up} of 1024");
         assert!(places.iter().all(|place| (place.position.y - 0.5) * f64::from(place.normal.y) > 0.0));
+    }
+
+    #[test]
+    fn the_outside_of_a_box_is_not_asked_for() {
+        // A floor with two sides, in the face of the box.
+        let floor = vec![DVec3::ZERO, DVec3::Z, DVec3::X];
+        let places = on_surfaces(&scene_of(floor, true), UNIT, 1e-3, 1024, 7);
+        assert!((400..=624).contains(&places.len()), "{} of 1024", places.len());
+        assert!(places.iter().all(|place| place.normal == Vec3::Y));
     }
 
     #[test]

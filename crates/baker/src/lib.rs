@@ -5,7 +5,7 @@
 //! ```text
 //! import ─→ scene, panorama ─→ trace ─→ radiance ─→ bake ─→ pack ─→ .gdibl
 //!                                          ↑          ↑
-//!                                   gdibl or path  sampling        beside it: capture, render, cut, seen; around it: job
+//!                                   gdibl or path  sampling        beside it: air, capture, render, cut, seen; around it: job
 //! ```
 //! [`job`] puts a whole bake together. Only [`import`] knows files, and [`pack`] how one is written whole; the library never
 //! prints. World axes are glTF's: right-handed, Y up, metres. Radiance is linear Rec.709 RGB. Stored are radiance
@@ -37,6 +37,7 @@
 //! # Ok::<(), gdibl_baker::job::Stop>(())
 //! ```
 
+pub mod air;
 pub mod analyse;
 mod angle;
 pub mod bake;

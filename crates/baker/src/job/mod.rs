@@ -29,6 +29,7 @@ use crate::seen::{self, HeldOut};
 use crate::{Control, Finding, Interrupted};
 use bands::Truncation;
 pub use inputs::Inputs;
+use nodes::Placed;
 use records::{InputRecord, PlanRow, Records, SettingRecord, SettingsRecord, StageRecord, StatisticsRecord, SunRecord};
 pub use settings::{CapturePlan, GridSettings, OutOfRange, QualitySettings, ROWS, Row, Settings};
 pub use statistics::check_valid;
@@ -91,6 +92,8 @@ pub struct Job {
     /// As they were asked for.
     pub settings: Settings,
     nodes: Nodes,
+    /// Where the box of a grid is from.
+    bounds: PlanRow,
     sun: Option<SunRecord>,
     exposure: Option<ExposureMatch>,
     /// A distant panorama that no node can see.
@@ -132,12 +135,14 @@ impl Job {
             SunLight::Include => None,
             SunLight::Extract => extract_sun(&mut inputs)?,
         };
-        let nodes = nodes::nodes_of(&settings, &inputs.scene, &inputs.places, &inputs.level)?;
+        let Placed { nodes, row: bounds, findings } =
+            nodes::nodes_of(&settings, &inputs.scene, &inputs.places, &inputs.level)?;
+        inputs.findings.extend(findings);
         memory.check(&nodes, &settings)?;
         // Nothing asks for what no node can see.
         let sealed = inputs.distant.as_ref().filter(|_| bake::is_sealed(&nodes, &inputs.scene));
         let sealed = sealed.map(|distant| plan::sealed_distant(&distant.name));
-        Ok(Job { inputs, settings, nodes, sun, exposure, sealed })
+        Ok(Job { inputs, settings, nodes, bounds, sun, exposure, sealed })
     }
 
     /// Where light will be baked.
@@ -252,6 +257,7 @@ impl Job {
             None => None,
         });
         rows.extend(self.sealed.clone());
+        rows.push(self.bounds.clone());
         rows
     }
 }

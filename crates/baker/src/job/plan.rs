@@ -6,6 +6,7 @@ use super::bands::Truncation;
 use super::inputs::Inputs;
 use super::records::{PlanRow, SparseRecord};
 use super::text::Method;
+use crate::air::{Air, LeftOut};
 use crate::bake::{Baked, Nodes, Walls, levels_of};
 use crate::exposure::ExposureMatch;
 use crate::radiance::RadianceFunction;
@@ -24,6 +25,50 @@ pub fn method(asked: Method, chosen: Method, inputs: &Inputs) -> PlanRow {
         _ => "asked for".to_owned(),
     };
     PlanRow::new("method", true, format!("{name}: {why}"))
+}
+
+/// Parts that the plan names at most.
+const NAMED: usize = 3;
+
+/// The default box of a grid.
+pub fn bounds(air: &Air, scene: &Scene) -> PlanRow {
+    let row = |kept, why: String| PlanRow::new("bounds", kept, why);
+    if !air.is_standable {
+        return row(false, "one can stand hardly anywhere: the box of all triangles".into());
+    }
+    if air.bounds == air.all {
+        return row(false, "the air above floors fills the box of all triangles".into());
+    }
+    let [x, y, z] = (air.bounds.1 - air.bounds.0).to_array().map(digits);
+    let name = |part: &LeftOut| {
+        let kind = if part.is_plane { "a plane" } else { "surroundings" };
+        format!("{kind} of {} (mesh {})", length(part.size), scene.meshes[part.mesh as usize].mesh)
+    };
+    let mut left_out: Vec<String> = air.left_out.iter().take(NAMED).map(name).collect();
+    if air.left_out.len() > NAMED {
+        left_out.push(format!("{} more parts", air.left_out.len() - NAMED));
+    }
+    let left_out = if left_out.is_empty() { String::new() } else { format!("; left out: {}", left_out.join(", ")) };
+    let share = digits(100.0 * air.share());
+    row(
+        true,
+        format!("the box of the air above floors: {x} x {y} x {z} m, {share} % of the box of all triangles{left_out}"),
+    )
+}
+
+/// No box of a level is looked for.
+pub fn bounds_given(why: &str) -> PlanRow {
+    PlanRow::new("bounds", false, why)
+}
+
+/// A length with three digits.
+pub(super) fn length(metres: f64) -> String {
+    format!("{} m", digits(metres))
+}
+
+/// Three digits of a number.
+fn digits(number: f64) -> f64 {
+    format!("{number:.2e}").parse().unwrap_or(number)
 }
 
 /// Whether probes are captured from the level.

@@ -164,7 +164,8 @@ settings! {
     grid: GridSettings {
         /// Where to bake: grid, vertices, or points:FILE.csv (x,y,z with a header line) [default: grid]
         "WHERE" nodes: NodeKind = NodeKind::Grid;
-        /// Box of the grid, world metres: x0,y0,z0,x1,y1,z1 [default: the level's box]
+        /// Box of the grid, world metres: x0,y0,z0,x1,y1,z1 [default: that of the air that people can be in,
+        /// without ground planes, sky domes and rock around it]
         "BOX" bounds: Option<[f64; 6]> = None;
         /// Greatest distance between grid nodes, metres [default: 32 nodes along the longest axis]
         "M" spacing: Option<f64> = None, |spacing| spacing.is_none_or(|m| m > 0.0 && m.is_finite()) => "metres above 0";

@@ -1,5 +1,6 @@
 //! Laws that every bake obeys, whatever the level: numbers come after.
 
+mod air;
 mod between;
 mod blending;
 mod cut;

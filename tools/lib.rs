@@ -1,8 +1,9 @@
-//! What the tools share: the uffizi box with its truth, and baking it; ways to keep light in few numbers.
+//! What the tools share: the uffizi box with its truth, and baking it; levels made here; ways to keep light in few numbers.
 
 pub mod decoders;
 pub mod encodings;
 pub mod least_squares;
+pub mod made_levels;
 
 use gdibl_baker::Control;
 use gdibl_baker::analyse::{Truth, choose_sets};

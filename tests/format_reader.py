@@ -86,7 +86,10 @@ class Volume:
         return sections
 
     def decode(self, ident, codec, shuffled, data, raw_size):
-        demand(codec <= 1, f"{ident}: codec {codec}")
+        demand(codec <= 2, f"{ident}: codec {codec}")
+        demand(codec < 2 or shuffled == 0, f"{ident}: bits with a filter")
+        if codec == 2:
+            data = unpack_bits(ident, data, raw_size)
         if codec == 1:
             try:
                 from compression import zstd
@@ -327,6 +330,62 @@ class Volume:
                 terms.append(COSINE[math.isqrt(index)] * radiance * value)
             result.append(math.fsum(terms))
         return result
+
+
+# --- packed bits ------------------------------------------------------------------------------------------------------
+
+
+def unpack_bits(ident, data, raw_size):
+    demand(len(data) >= 5 and data[-3:] == bytes(3), f"{ident}: cut off")
+    flags, planes = data[0], data[1]
+    demand(flags < 64, f"{ident}: flags {flags}")
+    size = 2 if flags & 32 else 1
+    demand(planes > 0 and raw_size % (planes * size) == 0, f"{ident}: {raw_size} bytes in {planes} planes")
+    count = raw_size // (planes * size)
+    end = len(data) - 3
+    demand(2 + 2 * planes * -(-count // 128) <= end, f"{ident}: cut off")
+    at = 2
+    elements = [[] for _ in range(planes)]
+    for first in range(0, count, 128):
+        for plane in elements:
+            numbers, at = unpack_block(ident, data, at, end, min(128, count - first))
+            plane.extend(numbers)
+    demand(at == end, f"{ident}: {end - at} bytes left")
+    result = bytearray()
+    for plane in elements:
+        before = 0
+        for number in plane:
+            if flags & 16:
+                number = (before + ((number >> 1) ^ -(number & 1))) % 65536
+                before = number
+            result += (number << (flags & 15) & 0xFFFF).to_bytes(2, "little")[:size]
+    return bytes(result)
+
+
+def unpack_block(ident, data, at, end, count):
+    demand(at + 2 <= end, f"{ident}: cut off")
+    (head,) = struct.unpack_from("<H", data, at)
+    width, high_width, outliers = head & 31, (head >> 5 & 15) + 1, head >> 9
+    demand(width <= 16 and (outliers == 0 or width + high_width <= 16), f"{ident}: widths {width}, {high_width}")
+    lanes = -(-count // 16)
+    outlier_bits = 7 + high_width
+    outlier_size = -(-outliers * outlier_bits // 8)
+    at += 2
+    demand(at + 2 * lanes * width + outlier_size <= end, f"{ident}: cut off")
+    words = struct.unpack_from(f"<{lanes * width}H", data, at)
+    at += 2 * lanes * width
+    numbers = []
+    for lane in range(lanes):
+        string = sum(word << 16 * k for k, word in enumerate(words[lane::lanes]))
+        numbers += [string >> width * k & (1 << width) - 1 for k in range(16)]
+    string = int.from_bytes(data[at : at + outlier_size], "little")
+    for k in range(outliers):
+        outlier = string >> k * outlier_bits
+        place = outlier & 127
+        i = place % 8 * 16 + place // 8
+        demand(i < count, f"{ident}: an outlier at {i} of {count}")
+        numbers[i] += (outlier >> 7 & (1 << high_width) - 1) << width
+    return numbers[:count], at + outlier_size
 
 
 # --- spherical harmonics ----------------------------------------------------------------------------------------------

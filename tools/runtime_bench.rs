@@ -10,7 +10,8 @@
 //! Both with walls in every eighth cell and in all, against none; and as sparse grids with cells of one size and of two.
 //!
 //! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes. And of the same
-//! nodes packed, which are unpacked.
+//! nodes packed, as bits and as plain numbers, against f16.
+//! `cargo run --release -p gdibl-tools --bin runtime_bench -- FILE.gdibl…` does that with volumes of yours instead, repeated to 100 MB.
 //!
 //! All that is compared takes turns in short rounds. What is printed are medians: of a round's time, and of the ratio of
 //! times within a round.
@@ -18,6 +19,7 @@
 #![allow(unsafe_code, reason = "calls functions compiled for f16c and AVX, once the processor is known to have them")]
 
 use gdibl_baker::sampling::fibonacci_sphere;
+use gdibl_runtime::bits::{Layout, pack_bits};
 use gdibl_runtime::bricks::Bricks;
 use gdibl_runtime::format::{
     self, BRICKS, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units, WALLS,
@@ -51,6 +53,17 @@ struct Places<'a> {
 type Work<'a> = &'a dyn Fn(&Places);
 
 fn main() {
+    let files: Vec<String> = std::env::args().skip(1).collect();
+    if !files.is_empty() {
+        print_packed_head();
+        for file in &files {
+            let bytes = std::fs::read(file).unwrap_or_else(|e| panic!("{file}: {e}"));
+            let volume = Volume::parse(&bytes).unwrap_or_else(|e| panic!("{file}: {e}"));
+            let is_packed = volume.header().encoding == Encoding::Packed;
+            print_packed(file, &volume, if is_packed { volume.header().scale } else { 0.005 });
+        }
+        return;
+    }
     println!(
         "| L2 f16 samples, 64 MB | batch / floor | irradiance / floor | batch / touch | batch | irradiance | floor | touch |"
     );
@@ -98,15 +111,13 @@ fn main() {
 
     let bytes = file(counts_of(100_000_000), 0);
     let mut target = vec![0; bytes.len()];
-    let packed = packed_file(&Volume::parse(&bytes).expect("a volume"));
-    let mut seconds: [Vec<f64>; 4] = Default::default();
+    let mut seconds: [Vec<f64>; 3] = Default::default();
     for _ in 0..PARSES {
         seconds[0].push(time(|| drop(black_box(Volume::parse(&bytes).expect("a volume")))));
         seconds[1].push(time(|| black_box(&mut target).copy_from_slice(&bytes)));
         seconds[2].push(time(|| _ = black_box(format::crc32(&bytes))));
-        seconds[3].push(time(|| drop(black_box(Volume::parse(&packed).expect("a volume")))));
     }
-    let [parse, copy, crc32, unpack] = &seconds;
+    let [parse, copy, crc32] = &seconds;
     let rate = |seconds: &[f64]| 1e-9 * bytes.len() as f64 / median(seconds);
     println!();
     println!(
@@ -122,11 +133,65 @@ fn main() {
         rate(copy),
         rate(crc32)
     );
-    let nodes = bytes.len() as f64 / NODE_BYTES as f64;
     println!();
-    println!("| parsing the same nodes | f16 | packed |");
-    println!("|---|---|---|");
-    println!("| ns per node | {:.0} | {:.0} |", 1e9 * median(parse) / nodes, 1e9 * median(unpack) / nodes);
+    print_packed_head();
+    print_packed("random numbers", &Volume::parse(&bytes).expect("a volume"), 0.003);
+}
+
+fn print_packed_head() {
+    println!(
+        "| parsing packed nodes | over f16: as bits | as plain numbers | f16 | as bits | plain | bytes per node, as bits |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+}
+
+/// What parsing a volume's nodes, repeated to 100 MB of f16, takes in each form.
+fn print_packed(name: &str, volume: &Volume, step: f32) {
+    let nodes = volume.node_count().max(100_000_000 / NODE_BYTES);
+    let values = volume.header().values_per_node();
+    let header = Header {
+        kind: Kind::Grid,
+        counts: [nodes as u32, 1, 1],
+        min: [0.0; 3],
+        max: [1.0; 3],
+        encoding: Encoding::Packed,
+        scale: step,
+        ..*volume.header()
+    };
+    let node_sh = |node: usize| volume.node_sh(node % volume.node_count()).coefficients;
+    let numbers = packed::numbers_to_bytes(nodes, values + 1, |node, numbers| {
+        packed::quantise_node(&node_sh(node).as_flattened()[..values], step, numbers);
+    });
+    let bits = pack_bits(&numbers, Layout { element_size: 2, planes: values + 1 });
+    let per_node = bits.len() as f64 / nodes as f64;
+    // What the baker's scale does: the largest number just below half of f16's largest.
+    let largest = (0..volume.node_count()).flat_map(|node| node_sh(node)).flatten().fold(0.0f32, |m, v| m.max(v.abs()));
+    let scale = (largest.log2().ceil() - 15.0).exp2();
+    let mut halves = vec![0; 2 * nodes * values];
+    for node in 0..nodes {
+        for (plane, value) in node_sh(node).as_flattened()[..values].iter().enumerate() {
+            halves[2 * (plane * nodes + node)..][..2].copy_from_slice(&f16::from_f32(value / scale).to_le_bytes());
+        }
+    }
+    let size = numbers.len();
+    let files = [
+        assemble(&Header { encoding: Encoding::F16, scale, ..header }, &[(RADIANCE, halves)]),
+        assemble_stored(&header, &[(RADIANCE, Codec::Bits, size, bits)]),
+        assemble(&header, &[(RADIANCE, numbers)]),
+    ];
+    let mut seconds: [Vec<f64>; 3] = Default::default();
+    for _ in 0..PARSES {
+        for (seconds, file) in seconds.iter_mut().zip(&files) {
+            seconds.push(time(|| drop(black_box(Volume::parse(file).expect("a volume")))));
+        }
+    }
+    let [f16, bits, plain] = &seconds;
+    let [a, b, c] = [f16, bits, plain].map(|seconds| 1e9 * median(seconds) / nodes as f64);
+    println!(
+        "| {name} | {:.2} | {:.2} | {a:.0} ns | {b:.0} ns | {c:.0} ns | {per_node:.1} |",
+        median_ratio(bits, f16),
+        median_ratio(plain, f16)
+    );
 }
 
 /// Prints what samples of two volumes cost over those of the first.
@@ -233,29 +298,26 @@ fn header(kind: Kind, counts: [u32; 3], places: u32) -> Header {
     }
 }
 
-/// The same nodes in steps of 0.3 %.
-fn packed_file(volume: &Volume) -> Vec<u8> {
-    let header = Header { encoding: Encoding::Packed, scale: 0.003, ..*volume.header() };
-    let bytes = packed::numbers_to_bytes(volume.node_count(), VALUES + 1, |node, numbers| {
-        packed::quantise_node(&volume.node_sh(node).coefficients.as_flattened()[..VALUES], header.scale, numbers);
-    });
-    assemble(&header, &[(RADIANCE, bytes)])
+fn assemble(header: &Header, sections: &[([u8; 4], Vec<u8>)]) -> Vec<u8> {
+    let raw = |(id, bytes): &([u8; 4], Vec<u8>)| (*id, Codec::Raw, bytes.len(), bytes.clone());
+    assemble_stored(header, &sections.iter().map(raw).collect::<Vec<_>>())
 }
 
-fn assemble(header: &Header, sections: &[([u8; 4], Vec<u8>)]) -> Vec<u8> {
-    let entry = |(id, section): &([u8; 4], Vec<u8>)| SectionEntry {
+/// From sections as they are stored, and their size once unpacked.
+fn assemble_stored(header: &Header, sections: &[([u8; 4], Codec, usize, Vec<u8>)]) -> Vec<u8> {
+    let entry = |(id, codec, raw_size, stored): &([u8; 4], Codec, usize, Vec<u8>)| SectionEntry {
         id: *id,
-        codec: Codec::Raw,
+        codec: *codec,
         filter: Filter::None,
         offset: 0,
-        stored_size: section.len() as u64,
-        raw_size: section.len() as u64,
-        crc32: format::crc32(section),
+        stored_size: stored.len() as u64,
+        raw_size: *raw_size as u64,
+        crc32: format::crc32(stored),
     };
     let mut entries: Vec<SectionEntry> = sections.iter().map(entry).collect();
     format::place_sections(&mut entries);
     let mut bytes = format::directory_to_bytes(header, &entries);
-    for (entry, (_, section)) in entries.iter().zip(sections) {
+    for (entry, (.., section)) in entries.iter().zip(sections) {
         bytes.resize(entry.offset as usize, 0);
         bytes.extend(section);
     }

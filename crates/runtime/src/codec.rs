@@ -1,8 +1,10 @@
 //! From the bytes stored in a section to the bytes meant: decompress, then undo the byte shuffle.
 //!
-//! Nothing is allocated on a length's word: output grows as data arrives, and stops at the size the table announces.
+//! Nothing is allocated on a length's word: output grows as data arrives, and stops at the size the table announces; packed bits are
+//! walked through first.
 
 use crate::Error;
+use crate::bits::Section;
 use crate::error::text;
 use crate::format::{Codec, Filter, Header, SectionEntry};
 use crate::shuffle::byte_unshuffle;
@@ -13,6 +15,7 @@ pub(crate) fn decode<'a>(header: &Header, entry: &SectionEntry, stored: &'a [u8]
     let bytes = match entry.codec {
         Codec::Raw => Cow::Borrowed(stored),
         Codec::Zstd => Cow::Owned(decompress(entry, stored)?),
+        Codec::Bits => Cow::Owned(Section::parse(entry, stored)?.to_bytes()),
     };
     match entry.filter {
         Filter::None => Ok(bytes),

@@ -115,6 +115,8 @@ pub enum Codec {
     Raw = 0,
     /// One zstd frame.
     Zstd = 1,
+    /// Whole numbers in as many bits as they need: see [`crate::bits`].
+    Bits = 2,
 }
 
 /// What was done to a section before compression.
@@ -389,8 +391,9 @@ impl SectionEntry {
         let codec = match half(4) {
             0 => Codec::Raw,
             1 => Codec::Zstd,
+            2 => Codec::Bits,
             other => {
-                return Err(Error::unsupported(place, text!("codec {other}"), "0 or 1"));
+                return Err(Error::unsupported(place, text!("codec {other}"), "0 to 2"));
             }
         };
         let filter = match half(6) {

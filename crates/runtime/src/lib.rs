@@ -46,6 +46,7 @@
 //! | [`gpu`] | a grid as the buffers that the shaders in `shaders/` sample |
 //! | [`format`](mod@format) | the bytes of a file, shared with the writer; `FORMAT.md` says the same in prose |
 //! | [`half`] | 16-bit floats to 32-bit |
+//! | [`bits`] | whole numbers in as many bits as they need |
 //! | [`packed`] | coefficients in few bytes, with a bound on the error of irradiance |
 //!
 //! # Features
@@ -64,6 +65,7 @@ extern crate alloc;
 extern crate std;
 
 mod batch;
+pub mod bits;
 pub mod bricks;
 mod codec;
 mod coefficients;

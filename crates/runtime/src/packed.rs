@@ -29,9 +29,10 @@
 //! Steps that follow the noise are not kept: one step for 2 % brings the volume of 18 % to 17.2, and adds 0.2 % to the whole
 //! error of its median node. Nor are boxes, since not all files are full grids.
 
+use crate::bits::{self, BLOCK, Block, LANES, ROWS, fold, place_of, sum_up};
 use crate::coefficients::{Coefficients, Numbers, words_of};
 use crate::error::{Error, text};
-use crate::half::{f16_is_finite, f16_is_subnormal, f32_to_f16};
+use crate::half::{f16_is_subnormal, f32_to_f16};
 use crate::math::square_root;
 use crate::sh::{COSINE, MAX_COEFFICIENTS, band_of};
 use alloc::vec;
@@ -153,14 +154,9 @@ pub fn quantise_node(values: &[f32], step: f32, numbers: &mut [i16]) {
 pub fn restore_node(numbers: &[i16], step: f32, values: &mut [f32]) {
     let (code, numbers) = numbers.split_first().expect("a node has numbers");
     let m = magnitude(*code);
-    let unit = m * step;
-    const ROOTS: [f32; 3] = [ROOT_3 as f32, ROOT_2 as f32, ROOT_6 as f32];
     let triples = values.as_chunks_mut::<3>().0.iter_mut().zip(numbers.as_chunks::<3>().0).zip(INVERSE_WEIGHTS);
     for (index, ((rgb, numbers), weight)) in triples.enumerate() {
-        let [k0, k1, k2] = numbers.map(|q| f32::from(q) * unit);
-        let k0 = if index == 0 { k0 + m } else { k0 };
-        let [k0, k1, k2] = [ROOTS[0] * k0, ROOTS[1] * k1, ROOTS[2] * k2];
-        *rgb = [k0 + k1 - k2, k0 + 2.0 * k2, k0 - k1 - k2].map(|value| value * weight);
+        *rgb = restore_coefficient(*numbers, m * step, if index == 0 { m } else { 0.0 }, weight);
     }
 }
 
@@ -207,128 +203,234 @@ pub fn numbers_to_bytes(nodes: usize, count: usize, mut numbers_of: impl FnMut(u
             // In the dark all numbers but the code may be what they want: the node before's.
             let number = if is_dark && plane > 0 { *before } else { number };
             let difference = number.wrapping_sub(*before);
-            elements[plane * nodes + node] = ((difference << 1 ^ difference >> 15) as u16).to_le_bytes();
+            elements[plane * nodes + node] = fold(difference).to_le_bytes();
             *before = number;
         }
     }
     bytes
 }
 
-/// Nodes that are turned round together.
-const BLOCK: usize = 64;
+/// Section `RSH ` as it is stored: where its numbers come from, block by block and plane by plane.
+#[derive(Clone, Copy)]
+pub(crate) enum Planes<'a> {
+    /// Plane by plane, a folded difference per node; the next block and plane.
+    Elements(&'a [[u8; 2]]),
+    /// The same in blocks.
+    Bits(bits::Section<'a>),
+}
 
-/// Section `RSH ` as it is stored.
-struct Planes<'a> {
-    /// Plane by plane, a folded difference per node.
-    elements: &'a [[u8; 2]],
+impl<'a> Planes<'a> {
+    /// Packed bits as they are usually written; None if they are of another layout.
+    pub(crate) fn of_bits(section: bits::Section<'a>, planes: usize) -> Option<Planes<'a>> {
+        let usual = section.layout == bits::Layout { element_size: 2, planes } && section.is_plain();
+        usual.then_some(Planes::Bits(section))
+    }
+}
+
+/// The numbers of packed coefficients, read block by block.
+struct Reader<'a> {
+    planes: Planes<'a>,
     nodes: usize,
     /// Numbers per node.
     count: usize,
     step: f32,
+    /// Each plane's last number before the block.
+    before: [u16; MAX_NUMBERS],
+}
+
+impl Reader<'_> {
+    /// The next numbers of a plane: those of the nodes from `first` on.
+    fn read(&mut self, first: usize, plane: usize, block: &mut Block) {
+        let in_block = BLOCK.min(self.nodes - first);
+        match &mut self.planes {
+            Planes::Bits(section) => section.blocks.read(in_block, block),
+            Planes::Elements(elements) => {
+                *block = [0; BLOCK];
+                for (node, folded) in elements[plane * self.nodes + first..][..in_block].iter().enumerate() {
+                    block[place_of(node)] = u16::from_le_bytes(*folded);
+                }
+            }
+        }
+        sum_up(block, &mut self.before[plane]);
+    }
+
+    /// Calls `then` with the values of a coefficient of a block's nodes, at their [`place_of`], one after the other; with
+    /// the first node and the coefficient's index. Times `factor`.
+    fn restore(mut self, factor: f32, then: &mut dyn FnMut(usize, usize, &[[f32; BLOCK]; 3])) {
+        let (mut numbers, mut values) = ([[0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
+        let mut magnitudes = [0.0; BLOCK];
+        for first in (0..self.nodes).step_by(BLOCK) {
+            self.read(first, 0, &mut numbers[0]);
+            for (m, code) in magnitudes.iter_mut().zip(numbers[0]) {
+                *m = magnitude(code as i16) * factor;
+            }
+            for index in 0..self.count / 3 {
+                for (k, numbers) in numbers.iter_mut().enumerate() {
+                    self.read(first, 1 + 3 * index + k, numbers);
+                }
+                let (weight, step) = (INVERSE_WEIGHTS[index], self.step);
+                let [q0, q1, q2] = &numbers;
+                let [r, g, b] = &mut values;
+                // Band 0's first number counts from M.
+                let share = if index == 0 { 1.0 } else { 0.0 };
+                for place in 0..BLOCK {
+                    let m = magnitudes[place];
+                    let q = [q0[place], q1[place], q2[place]].map(|q| q as i16);
+                    [r[place], g[place], b[place]] = restore_coefficient(q, m * step, m * share, weight);
+                }
+                then(first, index, &values);
+            }
+        }
+    }
+}
+
+/// Red, green and blue of a coefficient.
+#[inline(always)]
+fn restore_coefficient(numbers: [i16; 3], unit: f32, start: f32, weight: f32) -> [f32; 3] {
+    const ROOTS: [f32; 3] = [ROOT_3 as f32, ROOT_2 as f32, ROOT_6 as f32];
+    let [k0, k1, k2] = numbers.map(|q| f32::from(q) * unit);
+    let [k0, k1, k2] = [ROOTS[0] * (k0 + start), ROOTS[1] * k1, ROOTS[2] * k2];
+    [k0 + k1 - k2, k0 + 2.0 * k2, k0 - k1 - k2].map(|value| value * weight)
 }
 
 /// The coefficients in section `RSH ` of `nodes` nodes with `values` values each, and the scale of those that become f16.
 ///
 /// They become f16 with a power of two as scale that puts the brightest M to 2^11, so that no light overflows and from 2^-25 of that on
 /// f16 adds at most 2^-11 to the relative error. In volumes of more contrast, and where a number overflows all the same, f32.
-pub(crate) fn parse(bytes: &[u8], nodes: usize, values: usize, step: f32) -> Result<Numbers, Error> {
-    let planes = Planes { elements: bytes.as_chunks().0, nodes, count: values + 1, step };
-    let (least, most) = range_of_codes(&planes.elements[..nodes])?;
+pub(crate) fn parse(planes: Planes, nodes: usize, values: usize, step: f32) -> Result<Numbers, Error> {
+    let reader = || Reader { planes, nodes, count: values + 1, step, before: [0; MAX_NUMBERS] };
+    let (least, most) = range_of_codes(reader())?;
     let exponent = (most - CODE_OF_1).div_euclid(PER_OCTAVE) + 1 - 11;
     let scale = f32::from_bits(((exponent + 127) as u32) << 23);
-    if most - least <= 25 * PER_OCTAVE {
-        let inverse = 1.0 / scale;
-        let per_node = words_of(values);
-        let mut words = vec![0; nodes * per_node];
-        let mut rows = words.chunks_exact_mut(per_node);
-        let (mut all_finite, mut subnormal, mut node) = (true, Vec::new(), 0);
-        restore(&planes, &mut |node_values| {
-            let mut any_subnormal = false;
-            for (word, pair) in rows.next().into_iter().flatten().zip(node_values.chunks(2)) {
-                for (k, value) in pair.iter().enumerate() {
-                    let half = f32_to_f16(value * inverse);
-                    all_finite &= f16_is_finite(half);
-                    any_subnormal |= f16_is_subnormal(half);
-                    *word |= u32::from(half) << (16 * k);
-                }
-            }
-            if any_subnormal {
-                subnormal.push(node);
-            }
-            node += 1;
-        });
-        if all_finite {
-            return Ok(Numbers { coefficients: Coefficients::F16(words), scale, subnormal });
-        }
+    if most - least <= 25 * PER_OCTAVE
+        && let Some((words, subnormal)) = halves(reader(), 1.0 / scale)
+    {
+        return Ok(Numbers { coefficients: Coefficients::F16(words), scale, subnormal });
     }
     let mut all = vec![0.0; nodes * values];
-    let mut rows = all.chunks_exact_mut(values);
-    restore(&planes, &mut |node_values| {
-        if let Some(row) = rows.next() {
-            row.copy_from_slice(node_values);
+    reader().restore(1.0, &mut |first, index, rgb| {
+        for (node, row) in all[first * values..].chunks_exact_mut(values).take(BLOCK).enumerate() {
+            for (value, channel) in row[3 * index..].iter_mut().zip(rgb) {
+                *value = channel[place_of(node)];
+            }
         }
     });
     Ok(Numbers { coefficients: Coefficients::F32(all), scale: 1.0, subnormal: Vec::new() })
 }
 
-/// The least and the largest code of M of nodes that are not dark; [`CODE_OF_1`] twice if there is none.
-fn range_of_codes(plane: &[[u8; 2]]) -> Result<(i32, i32), Error> {
-    let mut range = None;
-    let mut code = 0i16;
-    for (node, folded) in plane.iter().enumerate() {
-        code = code.wrapping_add(unfolded(u16::from_le_bytes(*folded)));
-        if code < 0 {
-            return Err(Error::invalid(
-                text!("section RSH , node {node}, plane 0"),
-                text!("the code {code}"),
-                "0 to 32767",
-            ));
+/// The coefficients times `factor`, as words of two f16, and the nodes that have subnormal ones; None if one overflows.
+fn halves(reader: Reader, factor: f32) -> Option<(Vec<u32>, Vec<u32>)> {
+    let (values, nodes) = (reader.count - 1, reader.nodes);
+    let per_node = words_of(values);
+    let (mut words, mut subnormal) = (vec![0; nodes * per_node], Vec::new());
+    // Of two coefficients, since six values are three words.
+    let mut pairs = [[0u32; BLOCK]; 3];
+    let (mut all_finite, mut any_small) = (true, false);
+    reader.restore(factor, &mut |first, index, rgb| {
+        let odd = index % 2;
+        for (channel, values) in rgb.iter().enumerate() {
+            let k = 3 * odd + channel;
+            let Rounded { halves, is_finite, any_small: small } = round(values);
+            all_finite &= is_finite;
+            any_small |= small;
+            let pair = &mut pairs[k / 2];
+            if k % 2 == 0 {
+                *pair = halves;
+            } else {
+                pair.iter_mut().zip(halves).for_each(|(word, half)| *word |= half << 16);
+            }
         }
-        if code > 0 {
-            let code = i32::from(code);
-            let (least, most) = range.unwrap_or((code, code));
-            range = Some((code.min(least), code.max(most)));
+        let is_last = 3 * index + 3 == values;
+        if odd == 0 && !is_last {
+            return;
+        }
+        let rows = &mut words[first * per_node..nodes.min(first + BLOCK) * per_node];
+        let column = 3 * (index / 2);
+        let [a, b, c] = &pairs;
+        let lanes = rows.chunks_mut(ROWS * per_node).enumerate();
+        for (lane, rows) in lanes {
+            for (row, words) in rows.chunks_exact_mut(per_node).enumerate() {
+                let place = (LANES * row + lane) % BLOCK;
+                if odd == 1 {
+                    words[column..column + 3].copy_from_slice(&[a[place], b[place], c[place]]);
+                } else {
+                    words[column..column + 2].copy_from_slice(&[a[place], b[place]]);
+                }
+            }
+        }
+        if is_last {
+            if any_small {
+                let is_subnormal = |word: &u32| f16_is_subnormal(*word as u16) || f16_is_subnormal((word >> 16) as u16);
+                let found = rows.chunks_exact(per_node).enumerate().filter(|(_, row)| row.iter().any(is_subnormal));
+                subnormal.extend(found.map(|(node, _)| (first + node) as u32));
+            }
+            any_small = false;
+        }
+    });
+    all_finite.then_some((words, subnormal))
+}
+
+/// Values as f16.
+struct Rounded {
+    halves: [u32; BLOCK],
+    is_finite: bool,
+    /// Some are subnormal, or were.
+    any_small: bool,
+}
+
+/// As [`f32_to_f16`], but without a branch for each.
+fn round(values: &[f32; BLOCK]) -> Rounded {
+    const SMALLEST_NORMAL: u32 = 113 << 23;
+    /// From here on it would become infinity.
+    const OVERFLOW: u32 = 0x477f_f000;
+    let mut halves = [0; BLOCK];
+    let (mut small, mut large) = (0, 0);
+    for (half, value) in halves.iter_mut().zip(values) {
+        let bits = value.to_bits();
+        let magnitude = bits & 0x7fff_ffff;
+        // All ones where it is too small for this way.
+        let is_small = (magnitude.wrapping_sub(SMALLEST_NORMAL) as i32 >> 31) as u32;
+        small |= magnitude & is_small;
+        large |= (OVERFLOW - 1).wrapping_sub(magnitude);
+        let rounded = magnitude.wrapping_sub(112 << 23).wrapping_add(0x0fff + (magnitude >> 13 & 1)) >> 13;
+        *half = rounded & !is_small | bits >> 16 & 0x8000;
+    }
+    if small != 0 {
+        halves = values.map(|value| f32_to_f16(value).into());
+    }
+    Rounded { halves, is_finite: large >> 31 == 0, any_small: small != 0 }
+}
+
+/// The least and the largest code of M of nodes that are not dark; [`CODE_OF_1`] twice if there is none.
+fn range_of_codes(mut reader: Reader) -> Result<(i32, i32), Error> {
+    let mut range = None;
+    let mut block = [0; BLOCK];
+    for first in (0..reader.nodes).step_by(BLOCK) {
+        reader.read(first, 0, &mut block);
+        let in_block = BLOCK.min(reader.nodes - first);
+        for node in 0..in_block {
+            let code = block[place_of(node)] as i16;
+            if code < 0 {
+                return Err(Error::invalid(
+                    text!("section RSH , node {}, plane 0", first + node),
+                    text!("the code {code}"),
+                    "0 to 32767",
+                ));
+            }
+            if code > 0 {
+                let code = i32::from(code);
+                let (least, most) = range.unwrap_or((code, code));
+                range = Some((code.min(least), code.max(most)));
+            }
+        }
+        if let Planes::Bits(section) = &mut reader.planes {
+            // The other planes.
+            for _ in 1..reader.count {
+                section.blocks.skip(in_block);
+            }
         }
     }
     Ok(range.unwrap_or((CODE_OF_1, CODE_OF_1)))
-}
-
-fn unfolded(folded: u16) -> i16 {
-    (folded >> 1) as i16 ^ -((folded & 1) as i16)
-}
-
-/// Calls `then` with the values of one node after the other.
-fn restore(planes: &Planes, then: &mut impl FnMut(&[f32])) {
-    if cfg!(feature = "fast") {
-        restore_nodes(planes, then);
-    } else {
-        // One copy for both kinds of numbers.
-        let mut then: &mut dyn FnMut(&[f32]) = then;
-        restore_nodes(planes, &mut then);
-    }
-}
-
-fn restore_nodes(planes: &Planes, then: &mut impl FnMut(&[f32])) {
-    let Planes { elements, nodes, count, step } = *planes;
-    // The numbers of a block's nodes, node by node; and those of the node before it.
-    let mut numbers = [0i16; BLOCK * MAX_NUMBERS];
-    let mut before = [0i16; MAX_NUMBERS];
-    let mut node_values = [0.0f32; 3 * MAX_COEFFICIENTS];
-    let node_values = &mut node_values[..count - 1];
-    for first in (0..nodes).step_by(BLOCK) {
-        let in_block = BLOCK.min(nodes - first);
-        for (plane, before) in before[..count].iter_mut().enumerate() {
-            let column = &elements[plane * nodes + first..][..in_block];
-            for (folded, row) in column.iter().zip(numbers.chunks_exact_mut(count)) {
-                *before = before.wrapping_add(unfolded(u16::from_le_bytes(*folded)));
-                row[plane] = *before;
-            }
-        }
-        for numbers in numbers.chunks_exact(count).take(in_block) {
-            restore_node(numbers, step, node_values);
-            then(node_values);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -290,9 +290,15 @@ impl Sections<'_> {
     /// Node by node.
     fn coefficients(&self) -> Result<Numbers, Error> {
         let header = &self.directory.header;
+        let (nodes, planes) = (header.node_count(), header.values_per_node());
+        if header.encoding == Encoding::Packed
+            && let Some(bits) = self.directory.checked_section_bits(RADIANCE)?
+            && let Some(numbers) = packed::Planes::of_bits(bits, planes + 1)
+        {
+            return packed::parse(numbers, nodes, planes, header.scale);
+        }
         let bytes = self.directory.checked_section_bytes(RADIANCE)?;
         let bytes = bytes.unwrap_or_default();
-        let (nodes, planes) = (header.node_count(), header.values_per_node());
         let (coefficients, subnormal, odd) = match header.encoding {
             Encoding::F16 => {
                 let (words, subnormal, all_finite) = interleave_halves(&bytes, nodes, planes);
@@ -308,7 +314,10 @@ impl Sections<'_> {
                 let odd = first_odd(&values);
                 (Coefficients::F32(values), Vec::new(), odd)
             }
-            Encoding::Packed => return packed::parse(&bytes, nodes, planes, header.scale),
+            Encoding::Packed => {
+                let elements = packed::Planes::Elements(bytes.as_chunks().0);
+                return packed::parse(elements, nodes, planes, header.scale);
+            }
         };
         match odd {
             None => Ok(Numbers { coefficients, scale: header.scale, subnormal }),

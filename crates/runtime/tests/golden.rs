@@ -101,6 +101,20 @@ fn golden_files_read_as_ever() {
     }
 }
 
+#[test]
+fn golden_files_of_bits_read_as_ever() {
+    for (name, file) in files() {
+        let name = name.replace(".gdibl", "_bits.gdibl");
+        let bytes = golden(&name, file.clone().bits().to_bytes());
+        check_contents(&name, &bytes);
+        let directory = format::parse_header_and_sections(&bytes).unwrap();
+        for (section, raw) in directory.sections.iter().zip(&file.sections) {
+            let found = directory.section_bytes(section.id, &gdibl_runtime::Limits::default()).unwrap().unwrap();
+            assert_eq!(*found, raw.stored, "{name}");
+        }
+    }
+}
+
 #[cfg(feature = "zstd")]
 #[test]
 fn compressed_golden_files_read_as_ever() {

@@ -7,11 +7,13 @@ use gdibl_runtime::format::crc32;
 use gdibl_runtime::{Error, Limits, Volume};
 
 fn small_files() -> Vec<File> {
-    let mut files = vec![small_grid(), small_sparse(), small_points(), small_vertices(), small_packed()];
+    let files = vec![small_grid(), small_sparse(), small_points(), small_vertices(), small_packed()];
+    let mut all = files.clone();
+    all.extend(files.clone().into_iter().map(File::bits));
     if cfg!(feature = "zstd") {
-        files.extend(files.clone().into_iter().map(File::zstd));
+        all.extend(files.into_iter().map(File::zstd));
     }
-    files
+    all
 }
 
 #[track_caller]
@@ -76,8 +78,8 @@ fn parse_refuses_what_it_does_not_know() {
     assert_unsupported(File { bands: 5, ..small_grid() }, "bands");
     assert_unsupported(File { units: 2, ..small_grid() }, "units");
     let mut file = small_grid();
-    file.sections[5].codec = 2;
-    assert_unsupported(file, "codec 2");
+    file.sections[5].codec = 3;
+    assert_unsupported(file, "codec 3");
     let mut file = small_grid();
     file.sections[0].filter = 2;
     assert_unsupported(file, "filter 2");
@@ -254,6 +256,53 @@ fn limits_cap_what_is_read() {
     assert!(Volume::parse_with_limits(&bytes, &Limits { max_bytes: total }).is_ok());
     let error = Volume::parse_with_limits(&bytes, &Limits { max_bytes: total - 1 }).unwrap_err();
     assert!(matches!(error, Error::Unsupported(_)));
+}
+
+#[test]
+fn any_bit_of_packed_bits_may_be_wrong() {
+    // With the checksum of what is wrong: two blocks, the second not full, of many planes and of one.
+    let file = grid([150, 1, 1], 1, 2, 0.00390625)
+        .packed(|node, plane| packed_pattern(node % 7, plane))
+        .section(raw(b"SERR", halves((0..150).map(|i| i as f32 / 64.0))))
+        .bits();
+    assert!(Volume::parse(&file.to_bytes()).is_ok());
+    let (mut refused, mut read) = (0, 0);
+    for section in 0..2 {
+        for bit in 0..8 * file.sections[section].stored.len() {
+            let mut file = file.clone();
+            file.sections[section].stored[bit / 8] ^= 1 << (bit % 8);
+            let Ok(volume) = Volume::parse(&file.to_bytes()) else {
+                refused += 1;
+                continue;
+            };
+            read += 1;
+            for node in 0..volume.node_count() {
+                assert!(volume.node_sh(node).coefficients.as_flattened().iter().all(|v| v.is_finite()), "bit {bit}");
+                assert!(volume.node_relative_error(node).is_none_or(|error| error.is_finite()), "bit {bit}");
+            }
+        }
+    }
+    assert!(refused > 100 && read > 100, "{refused} {read}");
+}
+
+#[test]
+fn packed_bits_claim_no_more_than_their_heads_can_hold() {
+    // A file of 200 bytes that would have millions of nodes: each block has a head.
+    for blocks in [0, 1, 3] {
+        let mut file = grid([3_000_000, 1, 1], 2, 2, 0.00390625);
+        let stored = [&[1 << 5, 28][..], &vec![0; 2 * 28 * blocks], &[0; 3]].concat();
+        file.sections = vec![Section { codec: 2, raw_size: 3_000_000 * 56, stored, ..raw(b"RSH ", vec![]) }];
+        assert_invalid(file, "RSH ");
+    }
+    // No plane, a flag that nobody knows, a filter.
+    for (at, value) in [(1, 0), (0, 1 << 6), (0, 1 << 7)] {
+        let mut file = small_packed().bits();
+        file.sections[0].stored[at] = value;
+        assert!(Volume::parse(&file.to_bytes()).is_err());
+    }
+    let mut file = small_packed().bits();
+    file.sections[0].filter = 1;
+    assert_unsupported(file, "filter");
 }
 
 #[cfg(feature = "zstd")]

@@ -1,11 +1,11 @@
 //! Reads header and section table, and finds sections by them.
 
 use super::{
-    ALIGNMENT, ENTRY_SIZE, HEADER_SIZE, Header, Limits, MAX_SECTIONS, SectionEntry, crc32, directory_size,
+    ALIGNMENT, Codec, ENTRY_SIZE, HEADER_SIZE, Header, Limits, MAX_SECTIONS, SectionEntry, crc32, directory_size,
     parse_magic_and_version, read_u32, truncated,
 };
 use crate::error::text;
-use crate::{Error, codec};
+use crate::{Error, bits, codec};
 use alloc::borrow::Cow;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -89,6 +89,12 @@ impl<'a> Directory<'a> {
             return Ok(None);
         };
         codec::decode(&self.header, entry, self.stored_bytes(entry)).map(Some)
+    }
+
+    /// Section `id` as packed bits, if it is that. Once [`check_contents`](Directory::check_contents) has passed.
+    pub(crate) fn checked_section_bits(&self, id: [u8; 4]) -> Result<Option<bits::Section<'a>>, Error> {
+        let entry = self.section(id).filter(|entry| entry.codec == Codec::Bits);
+        entry.map(|entry| bits::Section::parse(entry, self.stored_bytes(entry))).transpose()
     }
 
     /// Compares the checksum of every section, also of those nobody reads.

@@ -117,6 +117,21 @@ impl File {
         self.section(raw(b"VALD", bytes))
     }
 
+    /// Packs every section's bits: numbers of two bytes as such, all else byte by byte.
+    pub fn bits(mut self) -> File {
+        let planes = self.planes() + 1;
+        for section in &mut self.sections {
+            let (size, planes) = match (&section.id, self.encoding) {
+                (b"RSH ", 2) => (2, planes),
+                (b"RSH ", 1) | (b"COVR" | b"SERR", _) => (2, 1),
+                _ => (1, 1),
+            };
+            section.stored = bits(&section.stored, size, planes, &section.id != b"RSH ");
+            section.codec = 2;
+        }
+        self
+    }
+
     /// Compresses every section with the reference zstd, sections of floats shuffled.
     pub fn zstd(mut self) -> File {
         for section in &mut self.sections {
@@ -135,6 +150,56 @@ impl File {
         }
         self
     }
+}
+
+/// Numbers of so many bits each, the lowest first, to whole bytes.
+fn bit_string(numbers: &[(u32, usize)]) -> Vec<u8> {
+    let bits: Vec<u32> = numbers.iter().flat_map(|&(n, width)| (0..width).map(move |bit| n >> bit & 1)).collect();
+    bits.chunks(8).map(|bits| bits.iter().enumerate().map(|(k, bit)| (bit << k) as u8).sum()).collect()
+}
+
+/// A section as packed bits, two bits narrower than all its numbers need: so there are outliers.
+pub fn bits(bytes: &[u8], size: usize, planes: usize, differences: bool) -> Vec<u8> {
+    let elements: Vec<u32> =
+        bytes.chunks(size).map(|b| b.iter().rev().fold(0, |n, &byte| n << 8 | u32::from(byte))).collect();
+    let count = elements.len() / planes;
+    let mut result = vec![u8::from(differences) << 4 | (size as u8 - 1) << 5, planes as u8];
+    for first in (0..count).step_by(128) {
+        for plane in 0..planes {
+            let at = |i: usize| elements[plane * count + i];
+            let number = |i: usize| match (differences, i) {
+                (false, _) => at(i),
+                _ => {
+                    let before = if i == 0 { 0 } else { at(i - 1) };
+                    let difference = i32::from(at(i).wrapping_sub(before) as i16);
+                    if difference < 0 { (-1 - 2 * difference) as u32 } else { 2 * difference as u32 }
+                }
+            };
+            let numbers: Vec<u32> = (first..count.min(first + 128)).map(number).collect();
+            let most = numbers.iter().map(|n| 32 - n.leading_zeros()).max().unwrap() as usize;
+            let width = most.saturating_sub(2);
+            let places = (0..numbers.len()).filter(|&i| numbers[i] >> width > 0).take(127);
+            let outliers: Vec<(u32, usize)> =
+                places.flat_map(|i| [((i % 16 * 8 + i / 16) as u32, 7), (numbers[i] >> width, 2)]).collect();
+            result.extend(((width | 1 << 5 | outliers.len() / 2 << 9) as u16).to_le_bytes());
+            // Word by word, of all lanes.
+            let lanes: Vec<Vec<u8>> = numbers
+                .chunks(16)
+                .map(|lane| {
+                    let lane: Vec<_> = lane.iter().map(|&n| (n & ((1 << width) - 1), width)).collect();
+                    let mut bytes = bit_string(&lane);
+                    bytes.resize(2 * width, 0);
+                    bytes
+                })
+                .collect();
+            for word in 0..width {
+                lanes.iter().for_each(|lane| result.extend(&lane[2 * word..2 * word + 2]));
+            }
+            result.extend(bit_string(&outliers));
+        }
+    }
+    result.extend([0; 3]);
+    result
 }
 
 pub fn grid(counts: [u32; 3], bands: u32, encoding: u32, scale: f32) -> File {

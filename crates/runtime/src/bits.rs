@@ -47,6 +47,8 @@ pub(crate) const LANES: usize = 8;
 pub(crate) const ROWS: usize = 16;
 /// Bytes before the first block.
 const HEAD_SIZE: usize = 2;
+/// The planes that a byte can count.
+const MAX_PLANES: usize = 255;
 /// Zeros after the last.
 const TAIL_SIZE: usize = 3;
 /// Bits of an outlier's place.
@@ -115,6 +117,11 @@ pub(crate) fn fold(difference: i16) -> u16 {
     (difference << 1 ^ difference >> 15) as u16
 }
 
+/// Undoes [`fold`].
+fn unfold(folded: u16) -> u16 {
+    folded >> 1 ^ (folded & 1).wrapping_neg()
+}
+
 fn pack_numbers(numbers: &[u16], planes: usize, head: u8) -> Vec<u8> {
     let elements = numbers.len() / planes;
     let mut bytes = vec![head, planes as u8];
@@ -179,22 +186,23 @@ pub(crate) struct Blocks<'a> {
 #[derive(Clone, Copy)]
 struct Head {
     width: usize,
-    high_width: usize,
     outliers: usize,
+    /// Bits of one.
+    outlier_bits: usize,
     lanes: usize,
-    /// Bytes of the numbers.
-    size: usize,
-    /// Bytes of the outliers.
-    outlier_size: usize,
+    /// Where the outliers begin.
+    middle: usize,
+    /// Where the block ends.
+    end: usize,
 }
 
 /// How the blocks of a section are to be read.
 #[derive(Clone, Copy)]
 pub(crate) struct Section<'a> {
     pub(crate) blocks: Blocks<'a>,
-    pub(crate) layout: Layout,
+    layout: Layout,
     /// Elements of a plane.
-    pub(crate) elements: usize,
+    elements: usize,
     shift: u32,
     differences: bool,
 }
@@ -203,46 +211,41 @@ impl<'a> Section<'a> {
     /// Reads the head, walks through all blocks and finds that they are whole: what is read of them needs no memory but its own, and
     /// that is at most 128 times the bytes there are.
     pub(crate) fn parse(entry: &SectionEntry, bytes: &'a [u8]) -> Result<Section<'a>, Error> {
-        let damaged =
-            || Error::invalid(entry.place(), "damaged data", text!("packed bits of {} bytes", entry.raw_size));
-        if entry.filter != Filter::None {
-            return Err(Error::unsupported(entry.place(), "packed bits with a filter", "no filter"));
+        if entry.filter != Filter::None || bytes.first().is_some_and(|flags| flags >> 6 != 0) {
+            return Err(Error::unsupported(entry.place(), "packed bits with a filter or unknown flags", "neither"));
         }
-        // What no memory could hold, on 32 bits.
-        if entry.raw_size > isize::MAX as u64 / 4 {
-            return Err(Error::unsupported(entry.place(), text!("{} bytes", entry.raw_size), "fewer"));
-        }
-        let (&[flags, planes], Some(end)) =
-            (bytes.first_chunk().ok_or_else(damaged)?, bytes.len().checked_sub(TAIL_SIZE))
-        else {
-            return Err(damaged());
-        };
-        if flags >> 6 != 0 {
-            return Err(Error::unsupported(entry.place(), text!("packed bits of kind {flags}"), "0 to 63"));
-        }
+        Section::parse_whole(entry.raw_size, bytes).ok_or_else(|| {
+            Error::invalid(
+                entry.place(),
+                "damaged data, or too much for this machine",
+                text!("packed bits of {} bytes", entry.raw_size),
+            )
+        })
+    }
+
+    fn parse_whole(raw_size: u64, bytes: &'a [u8]) -> Option<Section<'a>> {
+        let &[flags, planes] = bytes.first_chunk()?;
         let layout = Layout { element_size: 1 + usize::from(flags >> 5), planes: planes.into() };
-        let elements = layout.elements(entry.raw_size).ok_or_else(damaged)?;
-        // Each block has a head at least.
-        if elements.div_ceil(BLOCK) > bytes.len() / layout.planes {
-            return Err(damaged());
+        let elements = layout.elements(raw_size)?;
+        // Each block has a head at least. And what it becomes fits into memory, on 32 bits, too.
+        if elements.div_ceil(BLOCK) > bytes.len() / layout.planes || raw_size > isize::MAX as u64 / 4 {
+            return None;
         }
         let blocks = Blocks { bytes, at: HEAD_SIZE };
         let mut walk = blocks;
         for first in (0..elements).step_by(BLOCK) {
             for _ in 0..layout.planes {
-                walk.skip(elements - first).ok_or_else(damaged)?;
+                walk.skip(elements - first)?;
             }
         }
-        if walk.at != end || bytes[end..] != [0; TAIL_SIZE] {
-            return Err(damaged());
-        }
         let (shift, differences) = (u32::from(flags & 15), flags >> 4 & 1 == 1);
-        Ok(Section { blocks, layout, elements, shift, differences })
+        let is_end = bytes[walk.at..] == [0; TAIL_SIZE];
+        is_end.then_some(Section { blocks, layout, elements, shift, differences })
     }
 
-    /// Its numbers are the elements.
-    pub(crate) fn is_plain(&self) -> bool {
-        self.shift == 0 && !self.differences
+    /// Its numbers are elements of two bytes in so many planes.
+    pub(crate) fn is_plain(&self, planes: usize) -> bool {
+        self.blocks.bytes.starts_with(&[1 << 5, planes as u8])
     }
 
     /// The section's bytes.
@@ -250,18 +253,19 @@ impl<'a> Section<'a> {
         let Layout { element_size, planes } = self.layout;
         let mut bytes = vec![0; self.elements * planes * element_size];
         let mut blocks = self.blocks;
-        let mut before = vec![0; planes];
+        let mut before = [0; MAX_PLANES];
         let mut block = [0; BLOCK];
         for first in (0..self.elements).step_by(BLOCK) {
             let count = BLOCK.min(self.elements - first);
-            for (plane, before) in before.iter_mut().enumerate() {
+            for (plane, before) in before.iter_mut().enumerate().take(planes) {
                 blocks.read(count, &mut block);
                 if self.differences {
                     sum_up(&mut block, before);
                 }
-                let column = &mut bytes[(plane * self.elements + first) * element_size..][..count * element_size];
-                for (element, place) in column.chunks_exact_mut(element_size).enumerate() {
-                    place.copy_from_slice(&(block[place_of(element)] << self.shift).to_le_bytes()[..element_size]);
+                let column = bytes.chunks_exact_mut(element_size).skip(plane * self.elements + first);
+                for (element, bytes) in column.take(count).enumerate() {
+                    let number = block[place_of(element)] << self.shift;
+                    bytes.iter_mut().zip(number.to_le_bytes()).for_each(|(byte, part)| *byte = part);
                 }
             }
         }
@@ -271,77 +275,92 @@ impl<'a> Section<'a> {
 
 impl Blocks<'_> {
     /// The next block's head, once all of the block is there; of at most so many elements.
+    #[cfg_attr(not(feature = "fast"), inline(never))]
     fn head(&self, elements: usize) -> Option<Head> {
         let word = usize::from(u16::from_le_bytes(*self.bytes.get(self.at..)?.first_chunk()?));
         let (width, high_width, outliers) = (word & 31, (word >> 5 & 15) + 1, word >> 9);
-        let lanes = elements.min(BLOCK).div_ceil(ROWS);
-        let (size, outlier_size) = (2 * width * lanes, (outliers * (PLACE_BITS + high_width)).div_ceil(8));
-        let is_whole = self.at + 2 + size + outlier_size + TAIL_SIZE <= self.bytes.len();
+        let (lanes, outlier_bits) = (elements.min(BLOCK).div_ceil(ROWS), PLACE_BITS + high_width);
+        let middle = self.at + 2 + 2 * width * lanes;
+        let end = middle + (outliers * outlier_bits).div_ceil(8);
         let fits = width <= 16 && (outliers == 0 || width + high_width <= 16);
-        (is_whole && fits).then_some(Head { width, high_width, outliers, lanes, size, outlier_size })
+        (end + TAIL_SIZE <= self.bytes.len() && fits).then_some(Head {
+            width,
+            outliers,
+            outlier_bits,
+            lanes,
+            middle,
+            end,
+        })
     }
 
     /// Goes to the next block; None if this one is not whole.
     pub(crate) fn skip(&mut self, elements: usize) -> Option<()> {
-        let head = self.head(elements)?;
-        self.at += 2 + head.size + head.outlier_size;
+        self.at = self.head(elements)?.end;
         Some(())
     }
 
-    /// The numbers of the next block, of at most so many elements; zeros where there is none.
+    /// The numbers of the next block, of at most so many elements. Blocks are whole: [`Section::parse`] has walked through them.
+    #[cfg_attr(not(feature = "fast"), inline(never))]
     pub(crate) fn read(&mut self, elements: usize, block: &mut Block) {
-        let Some(head) = self.head(elements) else {
-            *block = [0; BLOCK];
-            return;
-        };
-        let Head { width, high_width, outliers, lanes, size, outlier_size } = head;
-        let start = self.at + 2;
-        let numbers = &self.bytes[start..start + size];
-        // A row more, which the last number may reach into.
-        let mut words = [[0u16; LANES]; ROWS + 1];
-        if lanes == LANES {
+        let Some(head) = self.head(elements) else { return };
+        let Head { width, outliers, outlier_bits, lanes, middle, end } = head;
+        let numbers = &self.bytes[self.at + 2..middle];
+        let mask = ((1u32 << width) - 1) as u16;
+        if cfg!(feature = "fast") && lanes == LANES {
+            // A row more, which the last number may reach into.
+            let mut words = [[0u16; LANES]; ROWS + 1];
             for (words, row) in words.iter_mut().zip(numbers.as_chunks::<{ 2 * LANES }>().0) {
                 for (word, bytes) in words.iter_mut().zip(row.as_chunks().0) {
                     *word = u16::from_le_bytes(*bytes);
                 }
             }
-        } else {
-            for (words, row) in words.iter_mut().zip(numbers.chunks_exact(2 * lanes)) {
-                for (word, bytes) in words.iter_mut().zip(row.as_chunks().0) {
-                    *word = u16::from_le_bytes(*bytes);
+            for (row, numbers) in block.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+                let bit = row * width;
+                let shift = bit as u32 % 16;
+                let [low, high] = [words[bit / 16 % ROWS], words[bit / 16 % ROWS + 1]];
+                for lane in 0..LANES {
+                    // Twice, since a shift by 16 is none.
+                    let high = high[lane].wrapping_shl(1).wrapping_shl(15 - shift);
+                    numbers[lane] = (low[lane].wrapping_shr(shift) | high) & mask;
                 }
             }
-        }
-        let mask = ((1u32 << width) - 1) as u16;
-        for (row, numbers) in block.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-            let bit = row * width;
-            let shift = bit as u32 % 16;
-            let [low, high] = [words[bit / 16 % ROWS], words[bit / 16 % ROWS + 1]];
-            for lane in 0..LANES {
-                // Twice, since a shift by 16 is none.
-                let high = high[lane].wrapping_shl(1).wrapping_shl(15 - shift);
-                numbers[lane] = (low[lane].wrapping_shr(shift) | high) & mask;
+        } else {
+            let words = numbers.as_chunks().0;
+            let word = |place: usize| words.get(place).map_or(0, |&word| u32::from(u16::from_le_bytes(word)));
+            for (place, number) in block.iter_mut().enumerate() {
+                let (row, lane) = (place / LANES, place % LANES);
+                let first = row * width / 16 * lanes + lane;
+                let pair = word(first) | word(first + lanes) << 16;
+                *number = if lane < lanes { (pair >> (row * width % 16)) as u16 & mask } else { 0 };
             }
         }
-        let outlier_bits = PLACE_BITS + high_width;
         for outlier in 0..outliers {
             let bit = outlier * outlier_bits;
-            let Some(&bytes) = self.bytes[start + size + bit / 8..].first_chunk() else { break };
+            let Some(&bytes) = self.bytes[middle + bit / 8..].first_chunk() else { break };
             let found = u32::from_le_bytes(bytes) >> (bit % 8) & ((1 << outlier_bits) - 1);
             block[found as usize % BLOCK] |= ((found >> PLACE_BITS) << width) as u16;
         }
-        self.at = start + size + outlier_size;
+        self.at = end;
     }
 }
 
 /// From folded differences to numbers, each following the one before it, the first `before`; which becomes the last.
+#[cfg_attr(not(feature = "fast"), inline(never))]
 pub(crate) fn sum_up(block: &mut Block, before: &mut u16) {
+    if !cfg!(feature = "fast") {
+        for element in 0..BLOCK {
+            let number = &mut block[place_of(element)];
+            *before = before.wrapping_add(unfold(*number));
+            *number = *before;
+        }
+        return;
+    }
     let rows = block.as_chunks_mut::<LANES>().0;
     // Each lane from 0, then all by what the lanes before it came to.
     let mut sums = [0u16; LANES];
     for row in rows.iter_mut() {
         for (number, sum) in row.iter_mut().zip(&mut sums) {
-            *sum = sum.wrapping_add(*number >> 1 ^ (*number & 1).wrapping_neg());
+            *sum = sum.wrapping_add(unfold(*number));
             *number = *sum;
         }
     }

@@ -32,11 +32,12 @@
 use crate::bits::{self, BLOCK, Block, LANES, ROWS, fold, place_of, sum_up};
 use crate::coefficients::{Coefficients, Numbers, words_of};
 use crate::error::{Error, text};
-use crate::half::{f16_is_subnormal, f32_to_f16};
+use crate::half::{f16_is_finite, f16_is_subnormal, f32_to_f16};
 use crate::math::square_root;
 use crate::sh::{COSINE, MAX_COEFFICIENTS, band_of};
 use alloc::vec;
 use alloc::vec::Vec;
+use core::ops::Range;
 
 /// The least and the largest step: with less the numbers would not fit 16 bits, with more nothing would be left of the light.
 pub const STEPS: core::ops::RangeInclusive<f32> = 1.220_703_1e-4..=1.0;
@@ -216,34 +217,34 @@ pub(crate) enum Planes<'a> {
     /// Plane by plane, a folded difference per node; the next block and plane.
     Elements(&'a [[u8; 2]]),
     /// The same in blocks.
-    Bits(bits::Section<'a>),
+    Bits(bits::Blocks<'a>),
 }
 
 impl<'a> Planes<'a> {
     /// Packed bits as they are usually written; None if they are of another layout.
     pub(crate) fn of_bits(section: bits::Section<'a>, planes: usize) -> Option<Planes<'a>> {
-        let usual = section.layout == bits::Layout { element_size: 2, planes } && section.is_plain();
-        usual.then_some(Planes::Bits(section))
+        section.is_plain(planes).then_some(Planes::Bits(section.blocks))
     }
 }
 
 /// The numbers of packed coefficients, read block by block.
+#[derive(Clone, Copy)]
 struct Reader<'a> {
     planes: Planes<'a>,
     nodes: usize,
     /// Numbers per node.
     count: usize,
     step: f32,
-    /// Each plane's last number before the block.
-    before: [u16; MAX_NUMBERS],
 }
 
 impl Reader<'_> {
-    /// The next numbers of a plane: those of the nodes from `first` on.
-    fn read(&mut self, first: usize, plane: usize, block: &mut Block) {
+    /// The next numbers of a plane: those of the nodes from `first` on, the number before them being `before`, which becomes the last.
+    #[cfg_attr(not(feature = "fast"), inline(never))]
+    fn read(&mut self, first: usize, plane: usize, before: &mut u16, block: &mut Block) {
         let in_block = BLOCK.min(self.nodes - first);
         match &mut self.planes {
-            Planes::Bits(section) => section.blocks.read(in_block, block),
+            Planes::Bits(blocks) if cfg!(feature = "fast") => blocks.read(in_block, block),
+            Planes::Bits(_) => {}
             Planes::Elements(elements) => {
                 *block = [0; BLOCK];
                 for (node, folded) in elements[plane * self.nodes + first..][..in_block].iter().enumerate() {
@@ -251,7 +252,7 @@ impl Reader<'_> {
                 }
             }
         }
-        sum_up(block, &mut self.before[plane]);
+        sum_up(block, before);
     }
 
     /// Calls `then` with the values of a coefficient of a block's nodes, at their [`place_of`], one after the other; with
@@ -259,14 +260,16 @@ impl Reader<'_> {
     fn restore(mut self, factor: f32, then: &mut dyn FnMut(usize, usize, &[[f32; BLOCK]; 3])) {
         let (mut numbers, mut values) = ([[0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
         let mut magnitudes = [0.0; BLOCK];
+        let mut before = [0; MAX_NUMBERS];
         for first in (0..self.nodes).step_by(BLOCK) {
-            self.read(first, 0, &mut numbers[0]);
+            self.read(first, 0, &mut before[0], &mut numbers[0]);
             for (m, code) in magnitudes.iter_mut().zip(numbers[0]) {
                 *m = magnitude(code as i16) * factor;
             }
             for index in 0..self.count / 3 {
                 for (k, numbers) in numbers.iter_mut().enumerate() {
-                    self.read(first, 1 + 3 * index + k, numbers);
+                    let plane = 1 + 3 * index + k;
+                    self.read(first, plane, &mut before[plane], numbers);
                 }
                 let (weight, step) = (INVERSE_WEIGHTS[index], self.step);
                 let [q0, q1, q2] = &numbers;
@@ -295,20 +298,22 @@ fn restore_coefficient(numbers: [i16; 3], unit: f32, start: f32, weight: f32) ->
 
 /// The coefficients in section `RSH ` of `nodes` nodes with `values` values each, and the scale of those that become f16.
 ///
-/// They become f16 with a power of two as scale that puts the brightest M to 2^11, so that no light overflows and from 2^-25 of that on
-/// f16 adds at most 2^-11 to the relative error. In volumes of more contrast, and where a number overflows all the same, f32.
+/// They become f16 with a power of two as scale that puts the brightest M to 2^11, so that no light overflows. From 2^-25 of that on
+/// f16 adds at most 2^-11 to the relative error, to darker nodes 2^-36 of the brightest. In volumes of more contrast than that, and where
+/// a number overflows all the same, f32. (Below 2^-25 lie 55 of pandora's 6688 nodes; in f32 all would take twice the memory, and slower
+/// samples.)
 pub(crate) fn parse(planes: Planes, nodes: usize, values: usize, step: f32) -> Result<Numbers, Error> {
-    let reader = || Reader { planes, nodes, count: values + 1, step, before: [0; MAX_NUMBERS] };
-    let (least, most) = range_of_codes(reader())?;
+    let reader = Reader { planes, nodes, count: values + 1, step };
+    let (least, most) = range_of_codes(reader)?;
     let exponent = (most - CODE_OF_1).div_euclid(PER_OCTAVE) + 1 - 11;
     let scale = f32::from_bits(((exponent + 127) as u32) << 23);
-    if most - least <= 25 * PER_OCTAVE
-        && let Some((words, subnormal)) = halves(reader(), 1.0 / scale)
+    if most - least <= 36 * PER_OCTAVE
+        && let Some((words, subnormal)) = halves(reader, 1.0 / scale)
     {
         return Ok(Numbers { coefficients: Coefficients::F16(words), scale, subnormal });
     }
     let mut all = vec![0.0; nodes * values];
-    reader().restore(1.0, &mut |first, index, rgb| {
+    reader.restore(1.0, &mut |first, index, rgb| {
         for (node, row) in all[first * values..].chunks_exact_mut(values).take(BLOCK).enumerate() {
             for (value, channel) in row[3 * index..].iter_mut().zip(rgb) {
                 *value = channel[place_of(node)];
@@ -322,47 +327,44 @@ pub(crate) fn parse(planes: Planes, nodes: usize, values: usize, step: f32) -> R
 fn halves(reader: Reader, factor: f32) -> Option<(Vec<u32>, Vec<u32>)> {
     let (values, nodes) = (reader.count - 1, reader.nodes);
     let per_node = words_of(values);
-    let (mut words, mut subnormal) = (vec![0; nodes * per_node], Vec::new());
-    // Of two coefficients, since six values are three words.
-    let mut pairs = [[0u32; BLOCK]; 3];
+    let mut words = vec![0; nodes * per_node];
+    let mut subnormal = Vec::new();
     let (mut all_finite, mut any_small) = (true, false);
+    // Of two coefficients, since six values are three words.
+    let mut pairs = [[0; BLOCK]; 3];
     reader.restore(factor, &mut |first, index, rgb| {
-        let odd = index % 2;
-        for (channel, values) in rgb.iter().enumerate() {
-            let k = 3 * odd + channel;
-            let Rounded { halves, is_finite, any_small: small } = round(values);
-            all_finite &= is_finite;
-            any_small |= small;
-            let pair = &mut pairs[k / 2];
-            if k % 2 == 0 {
-                *pair = halves;
-            } else {
-                pair.iter_mut().zip(halves).for_each(|(word, half)| *word |= half << 16);
-            }
-        }
-        let is_last = 3 * index + 3 == values;
-        if odd == 0 && !is_last {
-            return;
-        }
         let rows = &mut words[first * per_node..nodes.min(first + BLOCK) * per_node];
-        let column = 3 * (index / 2);
-        let [a, b, c] = &pairs;
-        let lanes = rows.chunks_mut(ROWS * per_node).enumerate();
-        for (lane, rows) in lanes {
-            for (row, words) in rows.chunks_exact_mut(per_node).enumerate() {
-                let place = (LANES * row + lane) % BLOCK;
-                if odd == 1 {
-                    words[column..column + 3].copy_from_slice(&[a[place], b[place], c[place]]);
-                } else {
-                    words[column..column + 2].copy_from_slice(&[a[place], b[place]]);
+        let is_last = 3 * index + 3 == values;
+        if cfg!(feature = "fast") {
+            for (channel, values) in rgb.iter().enumerate() {
+                let k = 3 * (index % 2) + channel;
+                let words = &mut pairs[k / 2];
+                let found = if k % 2 == 0 { round::<0>(values, words) } else { round::<16>(values, words) };
+                all_finite &= found.is_finite;
+                any_small |= found.any_small;
+            }
+            if index % 2 == 1 || is_last {
+                let column = 3 * (index / 2);
+                write_columns(&pairs, rows, per_node, column..per_node.min(column + 3));
+            }
+        } else {
+            for (node, row) in rows.chunks_exact_mut(per_node).enumerate() {
+                for (channel, values) in rgb.iter().enumerate() {
+                    let k = 3 * index + channel;
+                    let half = f32_to_f16(values[place_of(node)]);
+                    all_finite &= f16_is_finite(half);
+                    any_small |= f16_is_subnormal(half);
+                    row[k / 2] |= u32::from(half) << (16 * (k % 2));
                 }
             }
         }
-        if is_last {
-            if any_small {
-                let is_subnormal = |word: &u32| f16_is_subnormal(*word as u16) || f16_is_subnormal((word >> 16) as u16);
-                let found = rows.chunks_exact(per_node).enumerate().filter(|(_, row)| row.iter().any(is_subnormal));
-                subnormal.extend(found.map(|(node, _)| (first + node) as u32));
+        if is_last && any_small {
+            // Without a branch for each.
+            let is_subnormal = |word: &u32| f16_is_subnormal(*word as u16) | f16_is_subnormal((word >> 16) as u16);
+            for (node, row) in rows.chunks_exact(per_node).enumerate() {
+                if row.iter().fold(false, |any, word| any | is_subnormal(word)) {
+                    subnormal.push((first + node) as u32);
+                }
             }
             any_small = false;
         }
@@ -370,43 +372,61 @@ fn halves(reader: Reader, factor: f32) -> Option<(Vec<u32>, Vec<u32>)> {
     all_finite.then_some((words, subnormal))
 }
 
-/// Values as f16.
+/// Writes some words of a block's nodes, three at most.
+fn write_columns(columns: &[[u32; BLOCK]; 3], rows: &mut [u32], per_node: usize, range: Range<usize>) {
+    for (lane, rows) in rows.chunks_mut(ROWS * per_node).enumerate() {
+        for (row, words) in rows.chunks_exact_mut(per_node).enumerate() {
+            let place = (LANES * row + lane) % BLOCK;
+            match &mut words[range.clone()] {
+                [a, b, c] => [*a, *b, *c] = [columns[0][place], columns[1][place], columns[2][place]],
+                words => words.iter_mut().zip(columns).for_each(|(word, column)| *word = column[place]),
+            }
+        }
+    }
+}
+
+/// What became of values that were rounded to f16.
 struct Rounded {
-    halves: [u32; BLOCK],
     is_finite: bool,
     /// Some are subnormal, or were.
     any_small: bool,
 }
 
-/// As [`f32_to_f16`], but without a branch for each.
-fn round(values: &[f32; BLOCK]) -> Rounded {
+/// As [`f32_to_f16`], but without a branch for each. To the lower halves of words, SHIFT being 0, or to the upper, it being 16; the
+/// lower come first.
+fn round<const SHIFT: u32>(values: &[f32; BLOCK], words: &mut [u32; BLOCK]) -> Rounded {
     const SMALLEST_NORMAL: u32 = 113 << 23;
     /// From here on it would become infinity.
     const OVERFLOW: u32 = 0x477f_f000;
-    let mut halves = [0; BLOCK];
     let (mut small, mut large) = (0, 0);
-    for (half, value) in halves.iter_mut().zip(values) {
+    // All ones where it is too small for the first way.
+    let is_small = |magnitude: u32| (magnitude.wrapping_sub(SMALLEST_NORMAL) as i32 >> 31) as u32;
+    for (word, value) in words.iter_mut().zip(values) {
         let bits = value.to_bits();
         let magnitude = bits & 0x7fff_ffff;
-        // All ones where it is too small for this way.
-        let is_small = (magnitude.wrapping_sub(SMALLEST_NORMAL) as i32 >> 31) as u32;
-        small |= magnitude & is_small;
+        small |= magnitude & is_small(magnitude);
         large |= (OVERFLOW - 1).wrapping_sub(magnitude);
         let rounded = magnitude.wrapping_sub(112 << 23).wrapping_add(0x0fff + (magnitude >> 13 & 1)) >> 13;
-        *half = rounded & !is_small | bits >> 16 & 0x8000;
+        let half = rounded & !is_small(magnitude) | bits >> 16 & 0x8000;
+        *word = if SHIFT == 0 { half } else { *word | half << SHIFT };
     }
     if small != 0 {
-        halves = values.map(|value| f32_to_f16(value).into());
+        // Those are 0 so far, but for the sign. Below 2^-14 f16's step is 2^-24, which is f32's between 1/2 and 1: adding 1/2 rounds.
+        for (word, value) in words.iter_mut().zip(values) {
+            let magnitude = value.to_bits() & 0x7fff_ffff;
+            let rounded = (f32::from_bits(magnitude) + 0.5).to_bits().wrapping_sub(0.5f32.to_bits());
+            *word |= (rounded & is_small(magnitude)) << SHIFT;
+        }
     }
-    Rounded { halves, is_finite: large >> 31 == 0, any_small: small != 0 }
+    Rounded { is_finite: large >> 31 == 0, any_small: small != 0 }
 }
 
 /// The least and the largest code of M of nodes that are not dark; [`CODE_OF_1`] twice if there is none.
 fn range_of_codes(mut reader: Reader) -> Result<(i32, i32), Error> {
-    let mut range = None;
-    let mut block = [0; BLOCK];
+    let (mut least, mut most) = (i32::MAX, i32::MIN);
+    let (mut before, mut block) = (0, [0; BLOCK]);
     for first in (0..reader.nodes).step_by(BLOCK) {
-        reader.read(first, 0, &mut block);
+        reader.read(first, 0, &mut before, &mut block);
         let in_block = BLOCK.min(reader.nodes - first);
         for node in 0..in_block {
             let code = block[place_of(node)] as i16;
@@ -418,19 +438,19 @@ fn range_of_codes(mut reader: Reader) -> Result<(i32, i32), Error> {
                 ));
             }
             if code > 0 {
-                let code = i32::from(code);
-                let (least, most) = range.unwrap_or((code, code));
-                range = Some((code.min(least), code.max(most)));
+                (least, most) = (least.min(code.into()), most.max(code.into()));
             }
         }
-        if let Planes::Bits(section) = &mut reader.planes {
+        if cfg!(feature = "fast")
+            && let Planes::Bits(blocks) = &mut reader.planes
+        {
             // The other planes.
             for _ in 1..reader.count {
-                section.blocks.skip(in_block);
+                blocks.skip(in_block);
             }
         }
     }
-    Ok(range.unwrap_or((CODE_OF_1, CODE_OF_1)))
+    Ok(if most > 0 { (least, most) } else { (CODE_OF_1, CODE_OF_1) })
 }
 
 #[cfg(test)]

@@ -291,7 +291,9 @@ impl Sections<'_> {
     fn coefficients(&self) -> Result<Numbers, Error> {
         let header = &self.directory.header;
         let (nodes, planes) = (header.node_count(), header.values_per_node());
-        if header.encoding == Encoding::Packed
+        // In a small module they become plain numbers first, as all sections do.
+        if cfg!(feature = "fast")
+            && header.encoding == Encoding::Packed
             && let Some(bits) = self.directory.checked_section_bits(RADIANCE)?
             && let Some(numbers) = packed::Planes::of_bits(bits, planes + 1)
         {

@@ -93,23 +93,20 @@ pub fn pack_bits(bytes: &[u8], layout: Layout) -> Vec<u8> {
         "{} bytes in {layout:?}",
         bytes.len()
     );
-    let numbers: Vec<u16> = match element_size {
-        1 => bytes.iter().map(|&byte| byte.into()).collect(),
-        _ => bytes.as_chunks().0.iter().map(|&pair| u16::from_le_bytes(pair)).collect(),
+    let element = |place: usize| match element_size {
+        1 => bytes[place].into(),
+        _ => u16::from_le_bytes([bytes[2 * place], bytes[2 * place + 1]]),
     };
-    let shift = numbers.iter().fold(0, |all, number| all | number).trailing_zeros() % 16;
-    let numbers: Vec<u16> = numbers.iter().map(|number| number >> shift).collect();
-    let head = shift as u8 | u8::from(element_size == 2) << 5;
-    let plain = pack_numbers(&numbers, planes, head);
-    let folded: Vec<u16> = numbers.chunks(elements.max(1)).flat_map(differences).collect();
-    let differences = pack_numbers(&folded, planes, head | 1 << 4);
-    if differences.len() < plain.len() { differences } else { plain }
-}
-
-/// Of each number what it is more than the one before it, folded.
-fn differences(numbers: &[u16]) -> impl Iterator<Item = u16> {
-    let before = [0].into_iter().chain(numbers.iter().copied());
-    numbers.iter().zip(before).map(|(number, before)| fold(number.wrapping_sub(before) as i16))
+    let shift = (0..elements * planes).fold(0, |all, place| all | element(place)).trailing_zeros() % 16;
+    let flags = shift as u8 | u8::from(element_size == 2) << 5;
+    let number = |plane: usize, place: usize| element(plane * elements + place) >> shift;
+    let plain = pack_numbers(flags, planes, elements, number);
+    // Of each number what it is more than the one before it.
+    let folded = pack_numbers(flags | 1 << 4, planes, elements, |plane, place| {
+        let before = if place == 0 { 0 } else { number(plane, place - 1) };
+        fold(number(plane, place).wrapping_sub(before) as i16)
+    });
+    if folded.len() < plain.len() { folded } else { plain }
 }
 
 /// 0, -1, 1, -2, … become 0, 1, 2, 3, ….
@@ -122,13 +119,14 @@ fn unfold(folded: u16) -> u16 {
     folded >> 1 ^ (folded & 1).wrapping_neg()
 }
 
-fn pack_numbers(numbers: &[u16], planes: usize, head: u8) -> Vec<u8> {
-    let elements = numbers.len() / planes;
-    let mut bytes = vec![head, planes as u8];
+fn pack_numbers(flags: u8, planes: usize, elements: usize, number: impl Fn(usize, usize) -> u16) -> Vec<u8> {
+    let mut bytes = vec![flags, planes as u8];
+    let mut block = [0; BLOCK];
     for first in (0..elements).step_by(BLOCK) {
-        let count = BLOCK.min(elements - first);
+        let block = &mut block[..BLOCK.min(elements - first)];
         for plane in 0..planes {
-            pack_block(&numbers[plane * elements + first..][..count], &mut bytes);
+            block.iter_mut().enumerate().for_each(|(place, found)| *found = number(plane, first + place));
+            pack_block(block, &mut bytes);
         }
     }
     bytes.extend([0; TAIL_SIZE]);
@@ -138,12 +136,16 @@ fn pack_numbers(numbers: &[u16], planes: usize, head: u8) -> Vec<u8> {
 /// Appends a block in the fewest bytes.
 fn pack_block(numbers: &[u16], bytes: &mut Vec<u8>) {
     let lanes = numbers.len().div_ceil(ROWS);
-    let most = numbers.iter().map(|number| 16 - number.leading_zeros() as usize).max().unwrap_or(0);
-    let outliers = |width: usize| numbers.iter().filter(move |&&number| u32::from(number) >> width > 0).count();
-    let size = |width: usize| 2 * width * lanes + (outliers(width) * (PLACE_BITS + most - width)).div_ceil(8);
-    let widths = (0..=most).filter(|&width| outliers(width) < BLOCK);
+    // How many take more bits than so many.
+    let mut wider = [0; 17];
+    for number in numbers {
+        wider[..16 - number.leading_zeros() as usize].iter_mut().for_each(|count| *count += 1);
+    }
+    let most = wider.iter().take_while(|&&count| count > 0).count();
+    let size = |width: usize| 2 * width * lanes + (wider[width] * (PLACE_BITS + most - width)).div_ceil(8);
+    let widths = (0..=most).filter(|&width| wider[width] < BLOCK);
     let width = widths.min_by_key(|&width| size(width)).unwrap_or(most);
-    let (count, high_width) = (outliers(width), (most - width).max(1));
+    let (count, high_width) = (wider[width], (most - width).max(1));
     bytes.extend(((width | (high_width - 1) << 5 | count << 9) as u16).to_le_bytes());
 
     let mut words = [[0u16; LANES]; ROWS];
@@ -407,7 +409,7 @@ mod tests {
             (*state >> 20) as u32
         };
         let mut number = || match next() {
-            draw if outliers > 0 && draw as usize % outliers == 0 => next() as u16,
+            draw if (draw as usize).is_multiple_of(outliers) => next() as u16,
             _ => (next() & ((1 << width) - 1)) as u16,
         };
         (0..count).map(|_| number()).collect()

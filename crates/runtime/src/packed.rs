@@ -227,6 +227,9 @@ impl<'a> Planes<'a> {
     }
 }
 
+/// Red, green and blue of a coefficient of a block's nodes.
+type Rgb = [[f32; BLOCK]; 3];
+
 /// The numbers of packed coefficients, read block by block.
 #[derive(Clone, Copy)]
 struct Reader<'a> {
@@ -257,7 +260,7 @@ impl Reader<'_> {
 
     /// Calls `then` with the values of a coefficient of a block's nodes, at their [`place_of`], one after the other; with
     /// the first node and the coefficient's index. Times `factor`.
-    fn restore(mut self, factor: f32, then: &mut dyn FnMut(usize, usize, &[[f32; BLOCK]; 3])) {
+    fn restore(mut self, factor: f32, then: &mut dyn FnMut(usize, usize, &Rgb)) {
         let (mut numbers, mut values) = ([[0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
         let mut magnitudes = [0.0; BLOCK];
         let mut before = [0; MAX_NUMBERS];
@@ -266,12 +269,12 @@ impl Reader<'_> {
             for (m, code) in magnitudes.iter_mut().zip(numbers[0]) {
                 *m = magnitude(code as i16) * factor;
             }
-            for index in 0..self.count / 3 {
+            for (index, &weight) in INVERSE_WEIGHTS.iter().enumerate().take(self.count / 3) {
                 for (k, numbers) in numbers.iter_mut().enumerate() {
                     let plane = 1 + 3 * index + k;
                     self.read(first, plane, &mut before[plane], numbers);
                 }
-                let (weight, step) = (INVERSE_WEIGHTS[index], self.step);
+                let step = self.step;
                 let [q0, q1, q2] = &numbers;
                 let [r, g, b] = &mut values;
                 // Band 0's first number counts from M.

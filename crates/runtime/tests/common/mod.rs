@@ -181,7 +181,7 @@ pub fn bits(bytes: &[u8], size: usize, planes: usize, differences: bool) -> Vec<
             let places = (0..numbers.len()).filter(|&i| numbers[i] >> width > 0).take(127);
             let outliers: Vec<(u32, usize)> =
                 places.flat_map(|i| [((i % 16 * 8 + i / 16) as u32, 7), (numbers[i] >> width, 2)]).collect();
-            result.extend(((width | 1 << 5 | outliers.len() / 2 << 9) as u16).to_le_bytes());
+            result.extend(((width | 1 << 5 | (outliers.len() / 2) << 9) as u16).to_le_bytes());
             // Word by word, of all lanes.
             let lanes: Vec<Vec<u8>> = numbers
                 .chunks(16)

@@ -114,7 +114,8 @@ fn by_nodes(bake: &Bake) {
     let mut first = None;
     for side in [22u32, 46, 100] {
         let nodes = f64::from(side.pow(3));
-        let costs = [&[][..], &["--zstd"], &["--precision", "packed"]].map(|how| cost(side, how));
+        let f16 = ["--precision", "f16"];
+        let costs = [&f16[..], &["--precision", "f16", "--zstd"], &[]].map(|how| cost(side, how));
         let per_node = 1e6 * (costs[0].cpu_seconds - setup.cpu_seconds) / nodes;
         let coefficients = nodes * 54.0;
         let [f16, zstd, packed] = costs.map(|cost| 1e-6 * (cost.peak - setup.peak - coefficients));

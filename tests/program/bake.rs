@@ -169,7 +169,7 @@ fn inspect_json_tells_what_is_in_the_file() {
     assert_eq!(found["grid"]["counts"], json!([2, 3, 2]));
     assert_eq!(found["min"], json!([-2.0, -1.0, -3.0]));
     assert_eq!(found["max"], json!([2.0, 2.0, 1.5]));
-    assert_eq!((&found["sh"], &found["precision"]), (&json!("L2"), &json!("f16")));
+    assert_eq!((&found["sh"], &found["precision"]), (&json!("L2"), &json!("packed")));
     assert_eq!(found["settings"]["quality.samples"], 64);
     assert_eq!(found["settings"]["quality.blend"], "distance:2");
     assert_eq!(found["inputs"][0]["name"], "room.glb");

@@ -117,9 +117,9 @@ fn distant_table_turns_the_panorama() {
     folder.write("BAKE.toml", toml);
     folder.bake(&["BAKE.toml"]);
     let sh = &folder.coefficients("BAKE.gdibl", &[[0.0; 3]])[0];
-    // sqrt(4π/3) on x (index 3), none on y and z (1 and 2).
+    // sqrt(4π/3) on x (index 3), none on y and z (1 and 2), to the steps of packed coefficients.
     let expected = (4.0 * std::f64::consts::PI / 3.0).sqrt();
-    assert!((sh[9] - expected).abs() < 0.01 && sh[3].abs() < 0.01 && sh[6].abs() < 0.01, "{sh:?}");
+    assert!((sh[9] - expected).abs() < 0.03 && sh[3].abs() < 0.03 && sh[6].abs() < 0.03, "{sh:?}");
 }
 
 #[test]

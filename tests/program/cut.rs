@@ -23,7 +23,7 @@ fn parse(folder: &Folder, name: &str) -> Volume {
 #[test]
 fn cuts_are_volumes_that_tell_what_they_lose() {
     let folder = Folder::new();
-    bake_box(&folder, &[]);
+    bake_box(&folder, &["--precision", "f16"]);
     let whole = folder.read("box.gdibl").len();
     for (more, nodes, least) in [
         (&["--precision", "packed"][..], 1377, 0.001),

@@ -9,7 +9,7 @@ use gdibl_baker::job::records::PlanRow;
 use gdibl_baker::job::records::{ErrorSummary, Records};
 use gdibl_baker::pack::{PackSettings, Precision, pack, volume_of, write_whole};
 use gdibl_runtime::Volume;
-use gdibl_runtime::format::{self, Codec, Directory, Encoding};
+use gdibl_runtime::format::{self, Codec, Directory, Encoding, Header};
 use serde::Serialize;
 
 use crate::config::file_name;
@@ -41,7 +41,7 @@ pub struct Arguments {
     /// f16, f32, packed or packed:ERROR [default: as the volume]
     #[arg(long, value_name = "PRECISION")]
     precision: Option<Precision>,
-    /// Compress sections [default: as the volume; packed ones are]
+    /// Compress sections with zstd [default: as the volume]
     #[arg(long)]
     zstd: bool,
 }
@@ -149,14 +149,15 @@ fn records(directory: &Directory, path: &Path) -> Result<Records, Fault> {
 
 /// As the volume is packed, where nothing else is asked for.
 fn packing(directory: &Directory, arguments: &Arguments) -> PackSettings {
-    let precision = arguments.precision.unwrap_or(match directory.header.encoding {
+    let Header { encoding, scale, .. } = directory.header;
+    let precision = arguments.precision.unwrap_or(match encoding {
         Encoding::F16 => Precision::F16,
         Encoding::F32 => Precision::F32,
         Encoding::Packed => Precision::PACKED,
     });
+    let step = (arguments.precision.is_none() && encoding == Encoding::Packed).then_some(scale);
     let is_compressed = directory.sections.iter().any(|section| section.codec == Codec::Zstd);
-    let zstd = arguments.zstd || is_compressed || matches!(precision, Precision::Packed { .. });
-    PackSettings { precision, zstd, dering: false }
+    PackSettings { precision, zstd: arguments.zstd || is_compressed, dering: false, step }
 }
 
 fn plan_row(arguments: &Arguments, volume: &str, nodes: usize) -> PlanRow {

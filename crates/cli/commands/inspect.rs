@@ -147,7 +147,11 @@ fn kind_name(kind: Kind) -> &'static str {
 fn sections(directory: &Directory) -> Vec<SectionReport> {
     let row = |entry: &format::SectionEntry| SectionReport {
         id: String::from_utf8_lossy(&entry.id).trim_end().to_string(),
-        codec: if entry.codec == Codec::Zstd { "zstd" } else { "raw" },
+        codec: match entry.codec {
+            Codec::Raw => "raw",
+            Codec::Zstd => "zstd",
+            Codec::Bits => "bits",
+        },
         stored_bytes: entry.stored_size,
         raw_bytes: entry.raw_size,
     };
@@ -200,7 +204,9 @@ fn text(report: &Report, header: &Header) -> String {
         row("", format!("black  {:>8}", histogram.black));
     }
     for section in &report.sections {
-        row("section", format!("{:<5} {:>10} bytes {}", section.id, section.stored_bytes, section.codec));
+        let per_node = section.stored_bytes as f64 / volume.nodes as f64;
+        let SectionReport { id, codec, stored_bytes, .. } = section;
+        row("section", format!("{id:<5} {stored_bytes:>10} bytes {codec:<4} {per_node:>6.2} per node"));
     }
     if let Some(ProgramReport { name, commit }) = &report.program {
         let commit = if commit.is_empty() { String::new() } else { format!(", commit {commit}") };

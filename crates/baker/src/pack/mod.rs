@@ -2,6 +2,7 @@
 
 pub mod deringing;
 
+use gdibl_runtime::bits::{Layout, pack_bits};
 use gdibl_runtime::format::{self, Codec, Encoding, Filter, Header, Kind, SectionEntry, Units};
 use gdibl_runtime::walls::walls_to_bytes;
 use gdibl_runtime::{RadianceSh, Volume, packed};
@@ -15,25 +16,38 @@ use crate::job::records::{self, DeringingRecord, ErrorSummary, PackingRecord, Pl
 pub use crate::whole::write_whole;
 
 /// Numbers of the coefficients.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Precision {
     /// Half floats times one power of two per volume.
-    #[default]
     F16,
     /// Single floats.
     F32,
-    /// A fifth of the bytes of half floats, compressed: see [`gdibl_runtime::packed`].
+    /// A quarter of the bytes of half floats: see [`gdibl_runtime::packed`] and [`gdibl_runtime::bits`].
     Packed {
-        /// What 95 % of the baked nodes may be off by, of E's root mean square: one of [`Precision::PACKED_ERRORS`].
-        error: f64,
+        /// What 95 % of the baked nodes may be off by, of E's root mean square: one of [`Precision::PACKED_ERRORS`]. `None`: a third of
+        /// the noise of the median node.
+        error: Option<f64>,
     },
+}
+
+impl Default for Precision {
+    fn default() -> Self {
+        Precision::PACKED
+    }
 }
 
 impl Precision {
     /// What can be asked of a packed volume: with less the logarithm of brightness, in steps of 0.3 %, would be off by more.
     pub const PACKED_ERRORS: std::ops::RangeInclusive<f64> = 0.002..=0.1;
-    /// Half of the noise of a good bake.
-    pub const PACKED: Precision = Precision::Packed { error: 0.005 };
+    /// By the noise.
+    pub const PACKED: Precision = Precision::Packed { error: None };
+
+    /// The error of packing, in whole 1e-5, that follows from the relative error of irradiance of the median node. A third of it adds a
+    /// twentieth to the whole. Where noise was not measured, half of that of a good bake.
+    pub fn packed_error(noise: Option<f64>) -> f64 {
+        let third = noise.map_or(0.005, |noise| (noise / 3.0 * 1e5).floor() / 1e5);
+        third.clamp(*Precision::PACKED_ERRORS.start(), *Precision::PACKED_ERRORS.end())
+    }
 }
 
 impl std::fmt::Display for Precision {
@@ -41,8 +55,8 @@ impl std::fmt::Display for Precision {
         match self {
             Precision::F16 => f.write_str("f16"),
             Precision::F32 => f.write_str("f32"),
-            packed if *packed == Precision::PACKED => f.write_str("packed"),
-            Precision::Packed { error } => write!(f, "packed:{error}"),
+            Precision::Packed { error: None } => f.write_str("packed"),
+            Precision::Packed { error: Some(error) } => write!(f, "packed:{error}"),
         }
     }
 }
@@ -56,7 +70,9 @@ impl std::str::FromStr for Precision {
             "f32" => Ok(Precision::F32),
             "packed" => Ok(Precision::PACKED),
             _ => match text.strip_prefix("packed:").map(str::parse) {
-                Some(Ok(error)) if Precision::PACKED_ERRORS.contains(&error) => Ok(Precision::Packed { error }),
+                Some(Ok(error)) if Precision::PACKED_ERRORS.contains(&error) => {
+                    Ok(Precision::Packed { error: Some(error) })
+                }
                 Some(_) => Err("the error of packed:ERROR must be 0.002 to 0.1".into()),
                 None => Err("expected f16, f32, packed or packed:ERROR".into()),
             },
@@ -69,11 +85,13 @@ impl std::str::FromStr for Precision {
 pub struct PackSettings {
     /// Numbers of the coefficients.
     pub precision: Precision,
-    /// Compress sections with zstd where that makes them smaller. Packed coefficients are made for that: without it they take
-    /// as much as half floats.
+    /// Compress sections with zstd where that makes them smaller than they are otherwise. Readers need a decoder then.
     pub zstd: bool,
     /// Leave no node with negative irradiance: see [`deringing`].
     pub dering: bool,
+    /// Of a part of a packed volume: that volume's step, with which its nodes become the same numbers again. Otherwise the step
+    /// follows from the precision.
+    pub step: Option<f32>,
 }
 
 /// A packed volume.
@@ -154,9 +172,13 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
     // Sections in the order in which a reader wants them. What the level does not need is not there.
     let radiance = match settings.precision {
         Precision::Packed { error } => {
-            let packed = pack_coefficients(baked, &windows, error);
+            let noise = statistics.relative_error.as_ref().map(|error| error.median);
+            let error = error.unwrap_or_else(|| Precision::packed_error(noise));
+            record_error(&mut records, error);
+            let packed = pack_coefficients(baked, &windows, error, settings.step);
             (header.encoding, header.scale) = (Encoding::Packed, packed.step);
-            statistics.packing = packed.record;
+            // A part says what the whole says.
+            statistics.packing = packed.record.or(statistics.packing);
             packed.bytes
         }
         _ => planes(&baked.sh, &windows, baked.len(), numbers),
@@ -181,18 +203,21 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
             sections.push((format::MESHES, words.flat_map(u32::to_le_bytes).collect()));
         }
     }
-    let halves = |values: &[f32]| values.iter().flat_map(|&v| f16::from_f32(v).to_le_bytes()).collect();
+    let halves = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|&v| f16::from_f32(v).to_le_bytes()).collect() };
+    // Errors of which a few per cent matter to nobody.
+    let is_packed = header.encoding == Encoding::Packed;
+    let errors = |values: &[f32]| if is_packed { coarse_halves(values) } else { halves(values) };
     if baked.coverage.iter().any(|&c| c < 1.0) {
         sections.push((format::COVERAGE, halves(&baked.coverage)));
     }
     if baked.relative_error.iter().all(|e| e.is_finite()) {
-        sections.push((format::STANDARD_ERROR, halves(&baked.relative_error)));
+        sections.push((format::STANDARD_ERROR, errors(&baked.relative_error)));
     }
     if baked.systematic_error.iter().any(|e| *e > 0.0) && baked.systematic_error.iter().all(|e| e.is_finite()) {
-        sections.push((format::SYSTEMATIC_ERROR, halves(&baked.systematic_error)));
+        sections.push((format::SYSTEMATIC_ERROR, errors(&baked.systematic_error)));
     }
     if !baked.coefficient_error.is_empty() && baked.coefficient_error.iter().all(|e| e.is_finite()) {
-        sections.push((format::WORST_ERROR, halves(&baked.worst_error)));
+        sections.push((format::WORST_ERROR, errors(&baked.worst_error)));
         sections.push((format::COEFFICIENT_ERRORS, planes(&baked.coefficient_error, &[], baked.len(), numbers)));
     }
     if let Some(settings) = &records.settings {
@@ -208,6 +233,24 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
     records.statistics = Some(statistics);
 
     Sections { header, sections, records, zstd: settings.zstd }
+}
+
+/// To 3 %: five digits of eleven, the others 0. What is too large for f16 stays as it is.
+fn coarse_halves(values: &[f32]) -> Vec<u8> {
+    let coarse = |value: f32| match f16::from_f32(value).to_bits() {
+        bits @ 0x7be0.. => bits,
+        bits => bits + 0x20 & !0x3f,
+    };
+    values.iter().flat_map(|&value| coarse(value).to_le_bytes()).collect()
+}
+
+/// The settings in force repeat the bytes of the file: they name the error that followed from noise.
+fn record_error(records: &mut Records, error: f64) {
+    for row in records.settings.iter_mut().flat_map(|settings| &mut settings.settings) {
+        if row.name == "quality.precision" && row.value == Some(Precision::PACKED.to_string()) {
+            row.value = Some(Precision::Packed { error: Some(error) }.to_string());
+        }
+    }
 }
 
 /// Per node the weight of bands 1 and up; `None` leaves it as it is.
@@ -270,10 +313,10 @@ struct PackedCoefficients {
     record: Option<PackingRecord>,
 }
 
-/// With the coarsest step of a row, 2 % apart, that leaves 95 % of the baked nodes within `error`.
+/// With the step that is given, else with the coarsest of a row, 2 % apart, that leaves 95 % of the baked nodes within `error`.
 ///
 /// A formula would have to know how much of a node's E lies in its band 0: the same error takes steps of 0.0029 to 0.0036.
-fn pack_coefficients(baked: &Baked, windows: &[Option<f32>], error: f64) -> PackedCoefficients {
+fn pack_coefficients(baked: &Baked, windows: &[Option<f32>], error: f64, step: Option<f32>) -> PackedCoefficients {
     assert!(Precision::PACKED_ERRORS.contains(&error), "error {error} not in {:?}", Precision::PACKED_ERRORS);
     let count = baked.sh.len() / baked.len().max(1);
     let errors_with = |step: f32| {
@@ -282,20 +325,23 @@ fn pack_coefficients(baked: &Baked, windows: &[Option<f32>], error: f64) -> Pack
             baked_nodes.map(|node| packing_error(&windowed(baked, windows, node), count, step)).collect();
         ErrorSummary::of(errors.into_iter())
     };
-    // A row of steps: L0 in even light takes 2.4 times the error, L2 0.6.
-    let step_of = |place: u32| (3.0 * error * (-f64::from(place) / 32.0).exp2()) as f32;
-    // `fine` is fine enough, `coarse` and what lies before it is not: halve what is between.
-    let (mut coarse, mut fine) =
-        (0, (0..).take_while(|&place| step_of(place) >= *packed::STEPS.start()).count() as u32);
-    while fine - coarse > 1 {
-        let middle = coarse.midpoint(fine);
-        match errors_with(step_of(middle)) {
-            Some(summary) if summary.p95 > error => coarse = middle,
-            _ => fine = middle,
+    let asked = step;
+    let step = asked.unwrap_or_else(|| {
+        // A row of steps: L0 in even light takes 2.4 times the error, L2 0.6.
+        let step_of = |place: u32| (3.0 * error * (-f64::from(place) / 32.0).exp2()) as f32;
+        // `fine` is fine enough, `coarse` and what lies before it is not: halve what is between.
+        let (mut coarse, mut fine) =
+            (0, (0..).take_while(|&place| step_of(place) >= *packed::STEPS.start()).count() as u32);
+        while fine - coarse > 1 {
+            let middle = coarse.midpoint(fine);
+            match errors_with(step_of(middle)) {
+                Some(summary) if summary.p95 > error => coarse = middle,
+                _ => fine = middle,
+            }
         }
-    }
-    let step = step_of(fine).max(*packed::STEPS.start());
-    let added_error = errors_with(step);
+        step_of(fine).max(*packed::STEPS.start())
+    });
+    let added_error = if asked.is_none() { errors_with(step) } else { None };
     let node_numbers = |node: usize, numbers: &mut [i16]| {
         packed::quantise_node(&windowed(baked, windows, node).coefficients.as_flattened()[..count], step, numbers);
     };
@@ -344,8 +390,7 @@ fn assemble(header: &Header, sections: Vec<([u8; 4], Vec<u8>)>, compress: bool) 
         .into_iter()
         .map(|(id, raw)| {
             let raw_size = raw.len() as u64;
-            let (codec, filter, bytes) =
-                if compress { compressed(header, id, raw) } else { (Codec::Raw, Filter::None, raw) };
+            let (codec, filter, bytes) = stored(header, id, raw, compress);
             let (stored_size, crc32) = (bytes.len() as u64, crc32fast::hash(&bytes));
             (SectionEntry { id, codec, filter, offset: 0, stored_size, raw_size, crc32 }, bytes)
         })
@@ -365,8 +410,28 @@ fn assemble(header: &Header, sections: Vec<([u8; 4], Vec<u8>)>, compress: bool) 
     file
 }
 
-/// One frame, if that is smaller. Bytes are shuffled on their way: copies of coefficients are as large as the file.
-fn compressed(header: &Header, id: [u8; 4], raw: Vec<u8>) -> (Codec, Filter, Vec<u8>) {
+/// In the fewest bytes: as they are, as bits in packed volumes, and compressed where that is allowed.
+fn stored(header: &Header, id: [u8; 4], raw: Vec<u8>, compress: bool) -> (Codec, Filter, Vec<u8>) {
+    let bits = bits_layout(header, id).map(|layout| (Codec::Bits, Filter::None, pack_bits(&raw, layout)));
+    let frame = compress.then(|| compressed(header, id, &raw));
+    let ways = [Some((Codec::Raw, Filter::None, raw)), bits, frame];
+    ways.into_iter().flatten().min_by_key(|(.., bytes)| bytes.len()).expect("as they are is one")
+}
+
+/// How a section of a packed volume becomes bits; `None` where it does not. Other volumes are for readers that know no bits.
+fn bits_layout(header: &Header, id: [u8; 4]) -> Option<Layout> {
+    let (element_size, planes) = match id {
+        _ if header.encoding != Encoding::Packed => return None,
+        format::RADIANCE => (2, header.values_per_node() + 1),
+        format::VALIDITY => (1, 1),
+        format::COVERAGE | format::STANDARD_ERROR | format::WORST_ERROR | format::SYSTEMATIC_ERROR => (2, 1),
+        _ => return None,
+    };
+    Some(Layout { element_size, planes })
+}
+
+/// One frame. Bytes are shuffled on their way: copies of coefficients are as large as the file.
+fn compressed(header: &Header, id: [u8; 4], raw: &[u8]) -> (Codec, Filter, Vec<u8>) {
     let packed = id == format::RADIANCE && header.encoding == Encoding::Packed;
     let level = if packed { ZSTD_LEVEL_PACKED } else { ZSTD_LEVEL };
     let frame = |bytes: &mut dyn Iterator<Item = u8>| -> std::io::Result<Vec<u8>> {
@@ -380,11 +445,10 @@ fn compressed(header: &Header, id: [u8; 4], raw: Vec<u8>) -> (Codec, Filter, Vec
         encoder.into_inner()?.finish()
     };
     let (filter, bytes) = match header.element_size(id) {
-        Some(size) => (Filter::ByteShuffle, frame(&mut format::byte_shuffle(&raw, size))),
+        Some(size) => (Filter::ByteShuffle, frame(&mut format::byte_shuffle(raw, size))),
         None => (Filter::None, frame(&mut raw.iter().copied())),
     };
-    let bytes = bytes.expect("zstd compresses into memory");
-    if bytes.len() < raw.len() { (Codec::Zstd, filter, bytes) } else { (Codec::Raw, Filter::None, raw) }
+    (Codec::Zstd, filter, bytes.expect("zstd compresses into memory"))
 }
 
 /// Coefficients, one plane per coefficient and channel. The first three planes are band 0, which no window changes.

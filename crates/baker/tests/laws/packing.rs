@@ -3,12 +3,14 @@
 use gdibl_baker::bake::{BakeSettings, Baked, Nodes};
 use gdibl_baker::job::records::{PackingRecord, Records};
 use gdibl_baker::pack::{PackSettings, Packed, Precision, pack};
+use gdibl_runtime::format::{Codec, parse_header_and_sections};
 use gdibl_runtime::{RadianceSh, Volume};
 
 use crate::level::*;
 
 fn packed_of(baked: &Baked, error: f64, dering: bool) -> (Volume, Packed) {
-    let settings = PackSettings { precision: Precision::Packed { error }, dering, ..PackSettings::default() };
+    let settings =
+        PackSettings { precision: Precision::Packed { error: Some(error) }, dering, ..PackSettings::default() };
     let packed = pack(&Nodes::Points(places()), baked, Records::default(), settings);
     (Volume::parse(&packed.bytes).expect("what was packed parses"), packed)
 }
@@ -111,7 +113,7 @@ fn packing_twice_gives_the_same_bytes_and_a_larger_error_fewer() {
         pack(&Nodes::Points(places()), &baked, Records::default(), settings).bytes
     };
     assert_eq!(bytes(Precision::PACKED), bytes(Precision::PACKED));
-    assert!(bytes(Precision::Packed { error: 0.05 }).len() < bytes(Precision::PACKED).len());
+    assert!(bytes(Precision::Packed { error: Some(0.05) }).len() < bytes(Precision::PACKED).len());
     assert!(bytes(Precision::PACKED).len() < bytes(Precision::F16).len());
 }
 
@@ -149,4 +151,61 @@ fn deringed_light_is_packed_within_the_same_error() {
         baked.valid_nodes().map(|node| error(&volume.node_sh(node), &exact.node_sh(node))).collect();
     errors.sort_by(f64::total_cmp);
     assert!(errors[(0.95 * errors.len() as f64).ceil() as usize - 1] <= 0.005 * 1.001, "{errors:?}");
+}
+
+#[test]
+fn packing_adds_a_third_of_the_noise_where_nothing_is_asked_for() {
+    let mut baked = noisy(2);
+    for noise in [0.0, 0.012, 0.03, 0.9] {
+        baked.relative_error.fill(noise);
+        let packed = pack(&Nodes::Points(places()), &baked, Records::default(), PackSettings::default());
+        let added = packed.records.statistics.unwrap().packing.unwrap().added_error.p95;
+        let asked = (f64::from(noise) / 3.0).clamp(0.002, 0.1);
+        assert!(added <= asked && added > 0.5 * asked, "noise {noise}: {added} of {asked}");
+    }
+    // Noise that was not measured is taken for that of a good bake.
+    assert_eq!(Precision::packed_error(None), 0.005);
+}
+
+#[test]
+fn packed_files_need_no_library_and_others_no_new_codec() {
+    let baked = noisy(2);
+    let codecs = |precision: Precision, zstd: bool| {
+        let settings = PackSettings { precision, zstd, ..PackSettings::default() };
+        let bytes = pack(&Nodes::Points(places()), &baked, Records::default(), settings).bytes;
+        let sections = parse_header_and_sections(&bytes).unwrap().sections;
+        sections.iter().map(|section| (section.codec, section.stored_size)).collect::<Vec<_>>()
+    };
+    let bits = codecs(Precision::PACKED, false);
+    assert_eq!(bits[0].0, Codec::Bits);
+    assert!(bits.iter().all(|(codec, _)| *codec != Codec::Zstd));
+    for precision in [Precision::F16, Precision::F32] {
+        assert!(codecs(precision, false).iter().all(|(codec, _)| *codec == Codec::Raw));
+        assert!(codecs(precision, true).iter().all(|(codec, _)| *codec != Codec::Bits));
+    }
+    // With zstd each section takes what is smaller.
+    for (section, without) in codecs(Precision::PACKED, true).iter().zip(&bits) {
+        assert!(section.1 <= without.1, "{section:?} {without:?}");
+    }
+}
+
+#[test]
+fn errors_in_packed_files_are_right_to_a_thirtieth_and_coverage_is_as_it_was() {
+    let mut baked = noisy(2);
+    for (node, error) in baked.relative_error.iter_mut().enumerate() {
+        *error = 10f32.powf((node % 18) as f32 * 0.37 - 3.0);
+    }
+    baked.relative_error[0] = 0.0;
+    baked.relative_error[1] = 65504.0;
+    let with = |precision: Precision| {
+        let settings = PackSettings { precision, ..PackSettings::default() };
+        Volume::parse(&pack(&Nodes::Points(places()), &baked, Records::default(), settings).bytes).unwrap()
+    };
+    let (packed, exact) = (with(Precision::PACKED), with(Precision::F16));
+    for node in 0..baked.len() {
+        let [found, truth] = [&packed, &exact].map(|volume| volume.node_relative_error(node).unwrap());
+        assert!((found - truth).abs() <= truth / 30.0, "node {node}: {found}, not {truth}");
+        assert_eq!(packed.node_coverage(node), exact.node_coverage(node));
+    }
+    assert_eq!((packed.node_relative_error(0), packed.node_relative_error(1)), (Some(0.0), Some(65504.0)));
 }

@@ -13,8 +13,9 @@
 //! of n numbers of L0 to L2 all are off by at most half a step of s M, and the first by at most 2^(1/512) - 1 of M, so that E is
 //! off by no more than `√(0.00136² + n s²/4)` of its own root mean square, and by about `√(0.0008² + n s²/12)` as a rule.
 //!
-//! In a file the numbers lie in planes, each as the difference from the node before. Bytes per node of L2, on two rooms (noise 1.4
-//! and 0.8 %) and two noisy volumes (18 and 3 %), 95 % of the baked nodes off by 0.5 %, filled nodes counted, too:
+//! In a file the numbers lie in planes, each as the difference from the node before, in as many bits as they need (see [`crate::bits`]) or
+//! compressed. Bytes per node of L2, on two rooms (noise 1.4 and 0.8 %) and two noisy volumes (18 and 3 %), 95 % of the baked nodes
+//! off by 0.5 %, filled nodes counted, too:
 //!
 //! | tried | rooms | noisy |
 //! |---|---|---|

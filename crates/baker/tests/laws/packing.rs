@@ -112,9 +112,10 @@ fn packing_twice_gives_the_same_bytes_and_a_larger_error_fewer() {
         let settings = PackSettings { precision, zstd: true, ..PackSettings::default() };
         pack(&Nodes::Points(places()), &baked, Records::default(), settings).bytes
     };
-    assert_eq!(bytes(Precision::PACKED), bytes(Precision::PACKED));
-    assert!(bytes(Precision::Packed { error: Some(0.05) }).len() < bytes(Precision::PACKED).len());
-    assert!(bytes(Precision::PACKED).len() < bytes(Precision::F16).len());
+    let packed = |error: f64| bytes(Precision::Packed { error: Some(error) });
+    assert_eq!(packed(0.005), packed(0.005));
+    assert!(packed(0.05).len() < packed(0.005).len());
+    assert!(packed(0.005).len() < bytes(Precision::F16).len());
 }
 
 #[test]
@@ -130,7 +131,7 @@ fn a_packed_volume_of_one_node_keeps_the_error() {
     for all in [&mut baked.coverage, &mut baked.relative_error, &mut baked.worst_error] {
         *all = vec![all[place]];
     }
-    let settings = PackSettings { precision: Precision::PACKED, ..PackSettings::default() };
+    let settings = PackSettings { precision: Precision::Packed { error: Some(0.005) }, ..PackSettings::default() };
     let volume = Volume::parse(&pack(&nodes, &baked, Records::default(), settings).bytes).unwrap();
     assert!(error(&volume.node_sh(0), &sh_of(&baked, 0)) <= 0.005);
 }
@@ -169,10 +170,18 @@ fn packing_adds_a_third_of_the_noise_where_nothing_is_asked_for() {
 
 #[test]
 fn packed_files_need_no_library_and_others_no_new_codec() {
-    let baked = noisy(2);
+    // So many nodes that bits pay.
+    let mut baked = noisy(2);
+    baked.sh = baked.sh.repeat(16);
+    baked.standing = baked.standing.repeat(16);
+    baked.moved.clear();
+    let Baked { coverage, relative_error, worst_error, systematic_error, .. } = &mut baked;
+    for all in [coverage, relative_error, worst_error, systematic_error] {
+        *all = all.repeat(16);
+    }
     let codecs = |precision: Precision, zstd: bool| {
         let settings = PackSettings { precision, zstd, ..PackSettings::default() };
-        let bytes = pack(&Nodes::Points(places()), &baked, Records::default(), settings).bytes;
+        let bytes = pack(&Nodes::Points(places().repeat(16)), &baked, Records::default(), settings).bytes;
         let sections = parse_header_and_sections(&bytes).unwrap().sections;
         sections.iter().map(|section| (section.codec, section.stored_size)).collect::<Vec<_>>()
     };

@@ -45,7 +45,8 @@ impl Precision {
     /// The error of packing, in whole 1e-5, that follows from the relative error of irradiance of the median node. A third of it adds a
     /// twentieth to the whole. Where noise was not measured, half of that of a good bake.
     pub fn packed_error(noise: Option<f64>) -> f64 {
-        let third = noise.map_or(0.005, |noise| (noise / 3.0 * 1e5).floor() / 1e5);
+        let measured = noise.filter(|noise| noise.is_finite());
+        let third = measured.map_or(0.005, |noise| (noise / 3.0 * 1e5).floor() / 1e5);
         third.clamp(*Precision::PACKED_ERRORS.start(), *Precision::PACKED_ERRORS.end())
     }
 }

@@ -19,9 +19,12 @@ pub use directory::{Directory, parse_header_and_sections};
 
 use crate::error::text;
 use crate::sh::{MAX_BANDS, coefficient_count};
-use crate::{Error, Grid, packed};
+use crate::{Error, Grid};
 use alloc::string::String;
 use alloc::vec::Vec;
+
+/// The least and the largest step of packed numbers: with less they would not fit 16 bits, with more nothing would be left of the light.
+pub const PACKED_STEPS: core::ops::RangeInclusive<f32> = 1.220_703_1e-4..=1.0;
 
 /// The first eight bytes of every file: no text, no transfer that changes line ends, leaves them whole.
 pub const MAGIC: [u8; 8] = *b"\x89GDIBL\n\x1a";
@@ -155,7 +158,7 @@ pub struct Header {
     /// How coefficients are stored.
     pub encoding: Encoding,
     /// value = stored * scale: a power of two from 2^-100 to 2^100; 1 for [`Encoding::F32`]. For [`Encoding::Packed`] the step,
-    /// one of [`packed::STEPS`].
+    /// one of [`PACKED_STEPS`].
     pub scale: f32,
     /// What the coefficients are of.
     pub units: Units,
@@ -323,7 +326,7 @@ impl Header {
         let expected = match self.encoding {
             Encoding::F32 if self.scale != 1.0 => "1 for 32-bit floats",
             Encoding::F16 if !power_of_two => "a power of two from 2^-100 to 2^100",
-            Encoding::Packed if !packed::STEPS.contains(&self.scale) => "a step from 2^-13 to 1",
+            Encoding::Packed if !PACKED_STEPS.contains(&self.scale) => "a step from 2^-13 to 1",
             _ => return Ok(()),
         };
         Err(Error::invalid("header, byte 36: scale", text!("{:e}", self.scale), expected))

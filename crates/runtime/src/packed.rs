@@ -40,8 +40,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// The least and the largest step: with less the numbers would not fit 16 bits, with more nothing would be left of the light.
-pub const STEPS: core::ops::RangeInclusive<f32> = 1.220_703_1e-4..=1.0;
+pub use crate::format::PACKED_STEPS as STEPS;
 
 /// The most numbers of a node: the code of M, and three per coefficient.
 pub const MAX_NUMBERS: usize = 1 + 3 * MAX_COEFFICIENTS;

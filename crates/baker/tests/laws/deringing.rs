@@ -114,7 +114,7 @@ fn delta_lights_are_projected_exactly_and_deringed_to_no_negative_irradiance() {
 fn where_no_node_rings_deringing_leaves_the_light_and_its_tag() {
     let points = [DVec3::ZERO];
     let baked = baked_of(&Scene::default(), 4, &points);
-    let settings = PackSettings { dering: true, ..PackSettings::default() };
+    let settings = PackSettings { precision: Precision::F16, dering: true, ..PackSettings::default() };
     let packed = pack(&Nodes::Points(points.to_vec()), &baked, Records::default(), settings);
     assert_eq!(packed.records.statistics.unwrap().deringing, None);
     let row = packed.records.plan.last().unwrap();

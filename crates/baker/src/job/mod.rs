@@ -258,6 +258,7 @@ impl Job {
         });
         rows.extend(self.sealed.clone());
         rows.push(self.bounds.clone());
+        rows.push(plan::nodes(&self.nodes, &self.settings));
         rows
     }
 }

@@ -5,10 +5,12 @@ use gdibl_runtime::sh::MAX_BANDS;
 use super::bands::Truncation;
 use super::inputs::Inputs;
 use super::records::{PlanRow, SparseRecord};
+use super::settings::Settings;
 use super::text::Method;
 use crate::air::{Air, LeftOut};
-use crate::bake::{Baked, Nodes, Walls, levels_of};
+use crate::bake::{Baked, Nodes, Walls, levels_of, memory_needed};
 use crate::exposure::ExposureMatch;
+use crate::pack::Precision;
 use crate::radiance::RadianceFunction;
 use crate::radiance::gdibl::{Gdibl, SceneHit};
 use crate::radiance::path::Path;
@@ -59,6 +61,43 @@ pub fn bounds(air: &Air, scene: &Scene) -> PlanRow {
 /// No box of a level is looked for.
 pub fn bounds_given(why: &str) -> PlanRow {
     PlanRow::new("bounds", false, why)
+}
+
+/// Bytes of a value and of a node's figures in a file, about: packed numbers take what their noise takes.
+const BYTES_PACKED: f64 = 0.5;
+const BYTES_OF_FIGURES: f64 = 3.0;
+
+/// How many nodes, and what they will take.
+pub fn nodes(nodes: &Nodes, settings: &Settings) -> PlanRow {
+    let bake = settings.bake();
+    let what = match nodes {
+        Nodes::Grid(grid) => {
+            let [x, y, z] = grid.counts;
+            let axes = (0..3).filter(|axis| grid.counts[*axis] > 1);
+            let spacing = axes.map(|axis| grid.spacing()[axis]).fold(0.0, f64::max);
+            let most = if settings.grid.tolerance.is_some() { "at most " } else { "" };
+            format!("{most}{} nodes, a grid of {x} x {y} x {z}, {} apart", nodes.len(), length(spacing))
+        }
+        _ => format!("{} nodes", nodes.len()),
+    };
+    let values = 3 * gdibl_runtime::sh::coefficient_count(bake.bands);
+    let per_value = match settings.quality.precision {
+        Precision::F32 => 4.0,
+        Precision::F16 => 2.0,
+        Precision::Packed { .. } => BYTES_PACKED,
+    };
+    let count = nodes.len() as u64;
+    let bytes = count as f64 * (values as f64 * per_value + BYTES_OF_FIGURES);
+    PlanRow::new(
+        "nodes",
+        true,
+        format!(
+            "{what}; {:.1} M directions, a file of about {:.2} MB, at most {:.2} GiB of memory beside the level",
+            bake.directions(count) as f64 / 1e6,
+            bytes / 1e6,
+            memory_needed(count, &bake) as f64 / f64::from(1 << 30)
+        ),
+    )
 }
 
 /// A length with three digits.

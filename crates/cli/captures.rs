@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+use gdibl_baker::air::Air;
 use gdibl_baker::capture::{CaptureSettings, Captured, FREE_PLACES, PlaceSettings, Placement, capture, place_probes};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{Pose, SampleFormat, write_exr};
@@ -13,7 +14,7 @@ use gdibl_baker::job::{CapturePlan, Inputs};
 use gdibl_baker::panorama::{Mapping, Panorama, from_lat_long};
 use gdibl_baker::radiance::Distant;
 use gdibl_baker::radiance::path::{Path as Paths, specular_left_out};
-use gdibl_baker::scene::Scene;
+use gdibl_baker::scene::{Role, Scene};
 use gdibl_baker::{Control, Finding};
 
 use crate::config::{Config, ProbeEntry, sky_source};
@@ -75,10 +76,16 @@ pub fn automatic_placement(
     cancel: &AtomicBool,
     quiet: bool,
 ) -> Result<Placement, Fault> {
-    let bounds = scene.bounds(|mesh| mesh.role == gdibl_baker::scene::Role::Environment);
     let settings = PlaceSettings { most: asked.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
-    let Some(bounds) = bounds else { return Ok(Placement::default()) };
-    place(paths, bounds, &[], &settings, cancel, quiet)
+    match box_of_probes(scene) {
+        None => Ok(Placement::default()),
+        Some(bounds) => place(paths, bounds, &[], &settings, cancel, quiet),
+    }
+}
+
+/// The box in which probes stand by default: that of the air that people can be in. `None`: there is nothing that one could see.
+pub fn box_of_probes(scene: &Scene) -> Option<(DVec3, DVec3)> {
+    (scene.triangle_count(Role::Environment) > 0).then(|| Air::of(scene)).flatten().map(|air| air.bounds)
 }
 
 /// Places probes, with progress, until interrupted.

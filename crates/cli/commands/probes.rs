@@ -11,12 +11,11 @@ use gdibl_baker::import::image::write_png;
 use gdibl_baker::job::Inputs;
 use gdibl_baker::radiance::path::Path as Paths;
 use gdibl_baker::render::{RenderSettings, render, tone};
-use gdibl_baker::scene::Role;
 use glam::DVec3;
 use serde::Serialize;
 
 use super::render::{CameraFlags, camera_of, parse_size};
-use crate::captures::place;
+use crate::captures::{box_of_probes, place};
 use crate::config::{Config, FileFlags, LightFlags, set_threads};
 use crate::fault::Fault;
 use crate::flags::{Given, OfReading, SettingFlags};
@@ -138,7 +137,7 @@ impl Level {
         let config = Config::new(FileFlags::of(&flags.input, flags.light.clone()), &given)?;
         set_threads(&config.settings)?;
         let inputs = read_inputs(&config, TextureNeeds::All)?;
-        let environment = inputs.scene.bounds(|mesh| mesh.role == Role::Environment).ok_or_else(|| {
+        let environment = box_of_probes(&inputs.scene).ok_or_else(|| {
             let level = config.level.display();
             Fault::Invalid(format!(
                 "{level}: has no triangles of environment geometry, so nothing that a probe could see"

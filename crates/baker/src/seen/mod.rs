@@ -32,8 +32,10 @@ const SHARE: usize = 16;
 const LEAST: usize = 8;
 const MOST: usize = 256;
 /// Places are looked for so many times as often as they are wanted, with so many directions each: some lie in solids, or in the dark.
-const TRIES: u32 = 4;
-const PILOT: u64 = 64;
+/// By 64 directions places that are dim, where errors are greatest, counted as dark: an apartment was off by 261 % at the 95th
+/// percentile, and 115 % was said.
+const TRIES: u32 = 3;
+const PILOT: u64 = 256;
 /// Of the directions for E at a place, so many find its coefficients.
 const COEFFICIENTS: u64 = 4;
 /// Places lie off their surface by so many trace units, as nodes at vertices do.
@@ -90,9 +92,8 @@ pub fn hold_out(
     let mut lit = |places: Vec<Place>| -> Result<Vec<Place>, Interrupted> {
         let pilot = bake_at(&places, PILOT.min(samples))?;
         rays += pilot.rays;
-        let light = |node: usize| root_mean_square(&irradiance_of(pilot.node(node)));
-        let hidden = HIDDEN * median(pilot.valid_nodes().map(light));
-        Ok(pilot.valid_nodes().filter(|node| light(*node) > hidden).map(|node| places[node]).take(count).collect())
+        let is_lit = |node: &usize| pilot.node(*node).iter().any(|value| *value != 0.0);
+        Ok(pilot.valid_nodes().filter(is_lit).map(|node| places[node]).take(count).collect())
     };
     let mut places = lit(in_the_air(bounds, tries, seed))?;
     let in_the_air = places.len();

@@ -142,7 +142,7 @@ fn numbers_of_the_file_count() {
         settings.quality.precision = precision;
         seen(&bake(&Scene::default(), bright_on_one_side, &settings)).and_then(|seen| seen.air).expect("lit").parts
     };
-    let [exact, packed] = [Precision::F32, Precision::Packed { error: 0.05 }].map(parts);
+    let [exact, packed] = [Precision::F32, Precision::Packed { error: Some(0.05) }].map(parts);
     assert_eq!(exact.packing, 0.0);
     assert!((0.005..0.2).contains(&packed.packing), "{packed:?}");
     assert_eq!(exact.between, packed.between, "the light that was baked is the same");

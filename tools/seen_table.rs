@@ -5,7 +5,8 @@
 //! seen_table INPUTS [--levels NAME,…] [--sun include] [--samples N] [--truth N] [--places N] [--as NAME SETTING=VALUE,…]…
 //! ```
 //! INPUTS is the folder of the levels. Each is baked without probes, its sun extracted unless told otherwise, with N directions per
-//! node (default 4096), by default settings and as asked: `--as fine grid.spacing=0.2`. Places (default 500 in the air, and as many
+//! node (default 4096), by default settings, over the box of all triangles in f16 (as it was by default once), and as asked: `--as fine
+//! grid.spacing=0.2`. Places (default 500 in the air, and as many
 //! on surfaces) are in the box of the default bake and have a seed of their own; truth has 65,536 directions each by default, and its
 //! noise is subtracted as `gdibl_baker::seen` does. *Valid* is what engines show that weigh the valid nodes around and know no walls.
 //! Errors are relative to the larger of E and a tenth of its median; RMSE is over root mean square of E.
@@ -23,16 +24,28 @@ use gdibl_baker::radiance::path::{Path as Paths, PathSettings};
 use gdibl_baker::scene::Scene;
 use gdibl_baker::seen::places::{Place, in_the_air, on_surfaces};
 use gdibl_runtime::{RadianceSh, Volume};
+use gdibl_tools::made_levels::{aisle, terrain, two_storey};
 use gdibl_tools::{read_distant, read_scene};
 use glam::{DVec3, Vec3};
 
-/// Name, file below INPUTS, and whether it needs a sky.
-const LEVELS: [(&str, &str, bool); 5] = [
-    ("living room", "levels/godot/living_room.glb", true),
-    ("apartment", "levels/dream-apartment-plain/dream-apartment.glb", true),
-    ("pandora", "levels/cube2/sauerbraten_pandora.glb", false),
-    ("room.glb", "levels/godot/room.glb", true),
-    ("box", "uffizi-box/uffizi_box.glb", true),
+/// Where a level is from.
+#[derive(Clone, Copy)]
+enum Source {
+    /// Below INPUTS.
+    File(&'static str),
+    Made(fn() -> Scene),
+}
+
+/// Name, and whether it needs a sky.
+const LEVELS: [(&str, Source, bool); 8] = [
+    ("living room", Source::File("levels/godot/living_room.glb"), true),
+    ("apartment", Source::File("levels/dream-apartment-plain/dream-apartment.glb"), true),
+    ("pandora", Source::File("levels/cube2/sauerbraten_pandora.glb"), false),
+    ("room.glb", Source::File("levels/godot/room.glb"), true),
+    ("box", Source::File("uffizi-box/uffizi_box.glb"), true),
+    ("terrain", Source::Made(terrain), true),
+    ("two storeys", Source::Made(two_storey), true),
+    ("aisle", Source::Made(aisle), true),
 ];
 const SKY: &str = "hdr/kloppenheim_05_1k.hdr";
 /// Next to no light, as a share of the median: two surfaces touch there.
@@ -40,7 +53,7 @@ const HIDDEN: f64 = 1e-3;
 
 fn main() {
     let mut arguments = std::env::args().skip(1);
-    let (mut inputs, mut levels, mut sun, mut ways) = (None, String::new(), SunLight::Extract, Vec::new());
+    let (mut inputs, mut levels, mut sun, mut asked) = (None, String::new(), SunLight::Extract, Vec::new());
     let (mut samples, mut truth, mut places) = (4096, 65_536, 500);
     while let Some(argument) = arguments.next() {
         let mut value = || arguments.next().unwrap_or_else(|| panic!("{argument} wants a value"));
@@ -50,25 +63,31 @@ fn main() {
             "--samples" => samples = value().parse().expect("a number"),
             "--truth" => truth = value().parse().expect("a number"),
             "--places" => places = value().parse().expect("a number"),
-            "--as" => ways.push((value(), value())),
+            "--as" => asked.push((value(), value())),
             _ => inputs = Some(argument),
         }
     }
     let inputs = inputs.expect("seen_table INPUTS [--levels NAME,…] [--as NAME SETTING=VALUE,…]…");
-    ways.insert(0, ("default".into(), String::new()));
     println!(
         "| level | bake | nodes | bytes | CPU s | places | median | p95 | p99 | RMSE | said: median, p95, p99 | valid: p95, RMSE |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
-    for (name, file, needs_sky) in LEVELS {
+    for (name, source, needs_sky) in LEVELS {
         if !levels.is_empty() && !levels.split(',').any(|part| name.starts_with(part)) {
             continue;
         }
-        let scene = read_scene(&Path::new(&inputs).join(file));
+        let scene = match source {
+            Source::File(file) => read_scene(&Path::new(&inputs).join(file)),
+            Source::Made(make) => make(),
+        };
+        let (min, max) = scene.bounds(|_| true).expect("a level with triangles");
         let distant = needs_sky.then(|| read_distant(&Path::new(&inputs).join(SKY)));
         let level = Inputs { distant, ..Inputs::new(scene) };
         let mut sets = None;
-        for (way, texts) in &ways {
+        let all = [min.to_array(), max.to_array()].concat().iter().map(f64::to_string).collect::<Vec<_>>().join(";");
+        let former = format!("quality.precision=f16,quality.seen_places=0,grid.bounds={all}");
+        let ways = [("default", ""), ("all triangles, f16", &former[..])].into_iter();
+        for (way, texts) in ways.chain(asked.iter().map(|(way, texts)| (&way[..], &texts[..]))) {
             let mut settings = Settings::default();
             (settings.quality.method, settings.quality.samples) = (Method::Path, Some(samples));
             settings.quality.sun = if level.distant.is_some() { sun } else { SunLight::Include };

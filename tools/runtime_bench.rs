@@ -165,7 +165,7 @@ fn print_packed(name: &str, volume: &Volume, step: f32) {
     let bits = pack_bits(&numbers, Layout { element_size: 2, planes: values + 1 });
     let per_node = bits.len() as f64 / nodes as f64;
     // What the baker's scale does: the largest number just below half of f16's largest.
-    let largest = (0..volume.node_count()).flat_map(|node| node_sh(node)).flatten().fold(0.0f32, |m, v| m.max(v.abs()));
+    let largest = (0..volume.node_count()).flat_map(&node_sh).flatten().fold(0.0f32, |m, v| m.max(v.abs()));
     let scale = (largest.log2().ceil() - 15.0).exp2();
     let mut halves = vec![0; 2 * nodes * values];
     for node in 0..nodes {

@@ -240,7 +240,7 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
 fn coarse_halves(values: &[f32]) -> Vec<u8> {
     let coarse = |value: f32| match f16::from_f32(value).to_bits() {
         bits @ 0x7be0.. => bits,
-        bits => bits + 0x20 & !0x3f,
+        bits => (bits + 0x20) & !0x3f,
     };
     values.iter().flat_map(|&value| coarse(value).to_le_bytes()).collect()
 }

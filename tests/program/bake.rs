@@ -223,6 +223,26 @@ fn target_error_out_of_reach_ends_with_5_and_writes_the_volume() {
 }
 
 #[test]
+fn an_error_between_nodes_over_what_is_allowed_ends_with_5_and_writes_the_volume() {
+    let folder = coloured_room();
+    let bake = |more: &[&str]| {
+        folder.run(&[&["bake"], &PROBES[..], &["--counts", "4,4,4", "--samples", "256"], more].concat())
+    };
+    let run = bake(&["--max-seen-error", "0.0001"]);
+    assert_eq!(run.code, 5, "{}", run.err);
+    assert!(run.err.contains("--max-seen-error allows 0.01 %") && run.err.contains("in the air"), "{}", run.err);
+    let seen = &folder.inspect("room.gdibl")["statistics"]["seen"];
+    let said =
+        seen["air"]["error"]["p95"].as_f64().unwrap().max(seen["surfaces"]["error"]["p95"].as_f64().unwrap_or(0.0));
+    assert!(run.err.contains(&format!("{:.1} %", 100.0 * said)), "{said}: {}", run.err);
+    // What it came to is allowed.
+    let run = bake(&["--max-seen-error", &format!("{}", said + 1e-6)]);
+    assert_eq!(run.code, 0, "{}", run.err);
+    let run = bake(&["--max-seen-error", "0.5", "--seen-places", "0"]);
+    assert_eq!(run.code, 5, "nothing was measured: {}", run.err);
+}
+
+#[test]
 fn with_a_tolerance_nodes_are_left_out_and_the_error_between_them_is_told() {
     let folder = coloured_room();
     let sparse = ["--counts", "25,17,17", "--samples", "512", "--tolerance", "0.05"];

@@ -15,6 +15,7 @@ fn other(row: &Row) -> (&'static str, &'static [&'static str]) {
         "samples" if row.section == "quality" => ("32", &[]),
         "target_error" if row.section == "quality" => ("0.5", &[]),
         "seen_places" => ("3", &[]),
+        "max_seen_error" => ("1000", &[]),
         "seed" => ("7", &[]),
         "sampler" => ("random", &[]),
         "method" => ("path", &[]),

@@ -6,7 +6,7 @@ use gdibl_baker::Finding;
 use gdibl_baker::bake::Nodes;
 use gdibl_baker::exposure::ExposureMatch;
 use gdibl_baker::job::bands::Truncation;
-use gdibl_baker::job::records::{PlanRow, StatisticsRecord};
+use gdibl_baker::job::records::{PlanRow, SeenSet, StatisticsRecord};
 use gdibl_baker::job::{Job, Made, Method, Stage, Watch};
 use gdibl_baker::pack::{Packed, Precision, write_whole};
 use serde::Serialize;
@@ -93,7 +93,9 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     }
     let missed = missed_text(&made, &config);
     missed.iter().for_each(|text| session.note(&[Finding::new("missed-target", made.baked.missed, text)]));
-    Ok(write(made, &config, &stages, session, is_traced)?.missing(missed))
+    let wrong = seen_text(statistics_of(&made), &config);
+    wrong.iter().for_each(|text| session.note(&[Finding::new("missed-seen-error", 1, text)]));
+    Ok(write(made, &config, &stages, session, is_traced)?.missing(missed.or(wrong)))
 }
 
 /// Packs the volume, writes it, and tells what was made. `is_traced`: by paths, of which coverage tells nothing.
@@ -146,6 +148,33 @@ fn bake(job: Job, stages: &Stages, session: &Session, quiet: bool) -> Result<Mad
     stages.next(Stage::Pack.name());
     progress.finish();
     Ok(made)
+}
+
+fn statistics_of(made: &Made) -> &StatisticsRecord {
+    made.records.statistics.as_ref().expect("a job fills it in")
+}
+
+/// Where the error between nodes is over what was asked for, if something was.
+fn seen_text(statistics: &StatisticsRecord, config: &Config) -> Option<String> {
+    let most = config.settings.quality.max_seen_error?;
+    let percent = |share: f64| (share * 100.0) as f32;
+    let Some(seen) = &statistics.seen else {
+        return Some("--max-seen-error: between these nodes no error was measured; the volume was written".into());
+    };
+    let sets = [("in the air", seen.air), ("on surfaces", seen.surfaces)];
+    let over = |(name, set): (&str, Option<SeenSet>)| {
+        let set = set.filter(|set| set.error.p95 > most)?;
+        Some(format!("{:.1} % {name}", percent(set.error.p95)))
+    };
+    let over: Vec<String> = sets.into_iter().filter_map(over).collect();
+    (!over.is_empty()).then(|| {
+        format!(
+            "the error between nodes is {} at the 95th percentile, --max-seen-error allows {} %; a smaller --spacing brings nodes \
+             nearer, --sun extract takes out what bands blur; the volume was written",
+            over.join(" and "),
+            percent(most)
+        )
+    })
 }
 
 /// Which nodes missed the target error, if one was asked for.

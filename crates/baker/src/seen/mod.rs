@@ -6,8 +6,9 @@
 //! its light to the bands that are stored, which tells what the other bands would add.
 //!
 //! The noise of the truth is taken out. With d the difference at a place, t the standard error of the truth there, and v that of
-//! the nodes' light, what is left is d √(s² / (s² + t²)), where s² = v² + max(d² - v² - t², 0) is the square of what is to be expected
-//! of the volume's own error: a great difference stays, and of a small one the volume's share is left. The parts are root mean
+//! the nodes' light, what is left is d √(s² / (s² + t²)), where s² is the square of what is to be expected of the volume's own error:
+//! s² = v² + b² + max(d² - 5 (v² + t² + b²), 0). b, relative to the light, is the same for all places: it makes the median of d² what it
+//! is, if errors are normal. A great difference stays, and of a small one the volume's share is left. The parts are root mean
 //! squares over all places: so their noise can be subtracted as it is.
 
 pub mod places;
@@ -46,6 +47,10 @@ const HIDDEN: f64 = 1e-3;
 /// share of it that is shown as mid-grey.
 const FLOOR: f64 = 0.1;
 const MID_GREY: f64 = 0.18;
+/// What of a squared difference is over so many times what is to be expected is an error of its own.
+const BEYOND: f64 = 5.0;
+/// Median of the square of a normal variable of variance 1.
+const MEDIAN_SQUARE: f64 = 0.4549;
 /// Places have random numbers of their own.
 const OWN_SEED: u64 = 0x5ee4_0000_0000;
 
@@ -192,10 +197,11 @@ struct Found {
 }
 
 impl Found {
-    /// The difference without the noise of the truth.
-    fn error(&self) -> f64 {
+    /// The difference without the noise of the truth; `usual` is the square of what errors usually are beside noise.
+    fn error(&self, usual: f64) -> f64 {
         let [difference, noise, of_truth] = [self.difference, self.noise, self.noise_of_truth].map(|e| e * e);
-        let own = noise + (difference - noise - of_truth).max(0.0);
+        let expected = noise + usual;
+        let own = expected + (difference - BEYOND * (expected + of_truth)).max(0.0);
         if own == 0.0 { 0.0 } else { self.difference * (own / (own + of_truth)).sqrt() }
     }
 }
@@ -206,24 +212,29 @@ fn set_of(all: &[&Found]) -> Option<SeenSet> {
     let lit: Vec<&&Found> = all.iter().filter(|found| found.light > hidden).collect();
     let floor = FLOOR * median(lit.iter().map(|found| found.light));
     let mean = lit.iter().map(|found| found.light).sum::<f64>() / lit.len().max(1) as f64;
-    let relative = |found: &Found, error: f64| error / found.light.max(floor);
-    let worst = lit.iter().max_by(|a, b| relative(a, a.error()).total_cmp(&relative(b, b.error())))?;
+    let scale = |found: &Found| found.light.max(floor);
+    let middle = |square: &dyn Fn(&Found) -> f64| median(lit.iter().map(|found| square(found) / scale(found).powi(2)));
+    let noise = middle(&|found| found.noise.powi(2) + found.noise_of_truth.powi(2));
+    let usual = (middle(&|found| found.difference.powi(2)) / MEDIAN_SQUARE - noise).max(0.0);
+    let error = |found: &Found| found.error(usual * scale(found).powi(2));
+    let relative = |found: &Found| error(found) / scale(found);
+    let worst = lit.iter().max_by(|a, b| relative(a).total_cmp(&relative(b)))?;
     // Squares of parts without those of their noise, which are right in the mean alone.
     let part = |square: &dyn Fn(&Found) -> f64| {
-        let sum: f64 = lit.iter().map(|found| square(found) / found.light.max(floor).powi(2)).sum();
+        let sum: f64 = lit.iter().map(|found| square(found) / scale(found).powi(2)).sum();
         (sum / lit.len() as f64).max(0.0).sqrt()
     };
     Some(SeenSet {
         places: lit.len() as u64,
-        error: SeenErrors::of(lit.iter().map(|found| relative(found, found.error())))?,
-        error_in_grey: SeenErrors::of(lit.iter().map(|found| found.error() / found.light.max(MID_GREY * mean)))?,
+        error: SeenErrors::of(lit.iter().map(|found| relative(found)))?,
+        error_in_grey: SeenErrors::of(lit.iter().map(|found| error(found) / found.light.max(MID_GREY * mean)))?,
         worst: worst.position.to_array(),
         parts: SeenParts {
             noise: part(&|found| found.noise.powi(2)),
             between: part(&|found| found.between.powi(2) - found.noise.powi(2) - found.noise_here.powi(2)),
             bands: part(&|found| found.bands.powi(2) - found.noise_of_truth.powi(2) - found.noise_here.powi(2)),
             packing: part(&|found| found.packing.powi(2)),
-            systematic: part(&|found| (found.systematic * found.light.max(floor)).powi(2)),
+            systematic: part(&|found| (found.systematic * scale(found)).powi(2)),
         },
     })
 }
@@ -257,4 +268,61 @@ fn noise_between(volume: &Volume, baked: &Baked, errors: &[f64], position: DVec3
 fn systematic_between(volume: &Volume, baked: &Baked, position: DVec3) -> f64 {
     let shares = nodes_around(volume, baked, position).into_iter();
     shares.map(|(node, w)| w * f64::from(baked.systematic_error[node])).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::{Sampler, Stream};
+
+    /// Places of light 1 with normal errors: of nodes, of the truth, and beside noise, where `beyond` tells its size.
+    fn found(noise: f64, noise_of_truth: f64, beyond: impl Fn(f64) -> f64) -> (Vec<Found>, Vec<f64>) {
+        let stream = Stream::new(Sampler::Random, 3, 0, 0);
+        // Box and Muller, "A Note on the Generation of Random Normal Deviates", 1958.
+        let normal = |[a, b]: [f32; 2]| {
+            (-2.0 * f64::from(1.0 - a).ln()).sqrt() * (2.0 * std::f64::consts::PI * f64::from(b)).cos()
+        };
+        let place = |i: u32| {
+            let size = beyond(stream.point(i, 2)[0].into());
+            let own = normal(stream.point(i, 0)) * noise.hypot(size);
+            let difference = (own + normal(stream.point(i, 1)) * noise_of_truth).abs();
+            let found = Found {
+                position: DVec3::ZERO,
+                in_the_air: true,
+                light: 1.0,
+                difference,
+                noise_of_truth,
+                noise_here: 0.0,
+                noise,
+                between: 0.0,
+                bands: 0.0,
+                packing: 0.0,
+                systematic: 0.0,
+            };
+            (found, own.abs())
+        };
+        (0..20_000).map(place).unzip()
+    }
+
+    #[test]
+    fn the_error_is_the_volumes_own_without_the_noise_of_the_truth() {
+        let sizes: [(&str, fn(f64) -> f64); 5] = [
+            ("noise alone", |_| 0.0),
+            ("small", |_| 0.005),
+            ("as large as noise", |_| 0.01),
+            ("large", |_| 0.04),
+            ("large in places", |u| if u < 0.1 { 0.04 } else { 0.003 }),
+        ];
+        for (name, size) in sizes {
+            for (noise, noise_of_truth) in [(0.0055, 0.007), (0.003, 0.007), (0.0055, 0.01)] {
+                let (found, own) = found(noise, noise_of_truth, size);
+                let said = set_of(&found.iter().collect::<Vec<_>>()).expect("places that are lit").error;
+                let own = SeenErrors::of(own.into_iter()).expect("as many");
+                for (which, said, is) in [("median", said.median, own.median), ("95 %", said.p95, own.p95)] {
+                    let ratio = said / is;
+                    assert!((1.0 / 1.3..1.3).contains(&ratio), "{name}, {noise} {noise_of_truth}, {which}: {ratio}");
+                }
+            }
+        }
+    }
 }

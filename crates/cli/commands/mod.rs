@@ -95,15 +95,16 @@ fn seen_set_lines(place: &str, set: &SeenSet) -> [String; 2] {
     };
     [
         format!(
-            "{} median, {} 95th percentile, {} 99th, {} worst at {x:.2} {y:.2} {z:.2}: error {place}, {} places",
+            "{place}, {} places: {} median, {} 95th percentile, {} 99th, {} worst at {x:.2} {y:.2} {z:.2}",
+            set.places,
             percent(median),
             percent(p95),
             percent(p99),
-            percent(max),
-            set.places
+            percent(max)
         ),
         format!(
-            "  of it noise {}, between nodes {}, bands {}, numbers {} (root mean squares){systematic}; against mid-grey {} and {}",
+            "  of it noise {}, between nodes {}, bands {}, numbers {} (root mean squares){systematic}; against mid-grey {} \
+             median, {} 95th percentile",
             percent(parts.noise),
             percent(parts.between),
             percent(parts.bands),

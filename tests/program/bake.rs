@@ -231,6 +231,7 @@ fn an_error_between_nodes_over_what_is_allowed_ends_with_5_and_writes_the_volume
     let run = bake(&["--max-seen-error", "0.0001"]);
     assert_eq!(run.code, 5, "{}", run.err);
     assert!(run.err.contains("--max-seen-error allows 0.01 %") && run.err.contains("in the air"), "{}", run.err);
+    assert!(run.err.contains("most of it is"), "{}", run.err);
     let seen = &folder.inspect("room.gdibl")["statistics"]["seen"];
     let said =
         seen["air"]["error"]["p95"].as_f64().unwrap().max(seen["surfaces"]["error"]["p95"].as_f64().unwrap_or(0.0));

@@ -39,6 +39,7 @@ fn cuts_are_volumes_that_tell_what_they_lose() {
         assert!(folder.read("cut.gdibl").len() < whole, "{more:?}");
         let inspected = folder.inspect("cut.gdibl");
         assert_eq!(inspected["statistics"]["nodes"], nodes);
+        assert!(inspected["statistics"]["seen"].is_null(), "it was measured of the whole");
         assert_eq!(inspected["volume"]["nodes_valid"], inspected["statistics"]["nodes_valid"]);
         assert_eq!(inspected["settings"], folder.inspect("box.gdibl")["settings"]);
         let plan = inspected["plan"].as_array().unwrap().last().unwrap().clone();

@@ -6,7 +6,7 @@ use gdibl_baker::Finding;
 use gdibl_baker::bake::Nodes;
 use gdibl_baker::exposure::ExposureMatch;
 use gdibl_baker::job::bands::Truncation;
-use gdibl_baker::job::records::{PlanRow, SeenSet, StatisticsRecord};
+use gdibl_baker::job::records::{PlanRow, SeenParts, SeenSet, StatisticsRecord};
 use gdibl_baker::job::{Job, Made, Method, Stage, Watch};
 use gdibl_baker::pack::{Packed, Precision, write_whole};
 use serde::Serialize;
@@ -162,19 +162,28 @@ fn seen_text(statistics: &StatisticsRecord, config: &Config) -> Option<String> {
         return Some("--max-seen-error: between these nodes no error was measured; the volume was written".into());
     };
     let sets = [("in the air", seen.air), ("on surfaces", seen.surfaces)];
-    let over = |(name, set): (&str, Option<SeenSet>)| {
-        let set = set.filter(|set| set.error.p95 > most)?;
-        Some(format!("{:.1} % {name}", percent(set.error.p95)))
-    };
-    let over: Vec<String> = sets.into_iter().filter_map(over).collect();
-    (!over.is_empty()).then(|| {
-        format!(
-            "the error between nodes is {} at the 95th percentile, --max-seen-error allows {} %; a smaller --spacing brings nodes \
-             nearer, --sun extract takes out what bands blur; the volume was written",
-            over.join(" and "),
-            percent(most)
-        )
-    })
+    let over = |(name, set): (&'static str, Option<SeenSet>)| Some((name, set.filter(|set| set.error.p95 > most)?));
+    let over: Vec<(&str, SeenSet)> = sets.into_iter().filter_map(over).collect();
+    let worst = over.iter().max_by(|(_, a), (_, b)| a.error.p95.total_cmp(&b.error.p95))?;
+    let found: Vec<String> = over.iter().map(|(name, set)| format!("{:.1} % {name}", percent(set.error.p95))).collect();
+    Some(format!(
+        "the error between nodes is {} at the 95th percentile, --max-seen-error allows {} %; {}; the volume was written",
+        found.join(" and "),
+        percent(most),
+        remedy(&worst.1.parts)
+    ))
+}
+
+/// What helps against the largest part of an error.
+fn remedy(parts: &SeenParts) -> &'static str {
+    let SeenParts { noise, between, bands, packing, .. } = *parts;
+    let remedies = [
+        (noise, "most of it is noise: use more --samples"),
+        (between, "most of it is between nodes: use a smaller --spacing"),
+        (bands, "most of it is what bands leave out: use --sun extract, or --sh L3 or L4"),
+        (packing, "most of it is by the numbers of the file: use --precision f16"),
+    ];
+    remedies.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).map_or("", |(_, text)| text)
 }
 
 /// Which nodes missed the target error, if one was asked for.

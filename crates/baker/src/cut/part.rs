@@ -101,7 +101,7 @@ impl Part {
             valid().map(|node| f64::from(self.baked.coverage[node])).sum::<f64>() / valid().count().max(1) as f64;
         statistics.walls = walls.as_ref().map(WallsRecord::from);
         (statistics.worst_direction_error, statistics.sparse, statistics.packing) = (None, None, None);
-        statistics.systematic_error = None;
+        (statistics.systematic_error, statistics.seen) = (None, None);
         records
     }
 }

@@ -306,7 +306,8 @@ mod tests {
 
     #[test]
     fn the_error_is_the_volumes_own_without_the_noise_of_the_truth() {
-        let sizes: [(&str, fn(f64) -> f64); 5] = [
+        type Size = fn(f64) -> f64;
+        let sizes: [(&str, Size); 5] = [
             ("noise alone", |_| 0.0),
             ("small", |_| 0.005),
             ("as large as noise", |_| 0.01),

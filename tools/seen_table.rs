@@ -6,9 +6,8 @@
 //! ```
 //! INPUTS is the folder of the levels. Each is baked without probes, its sun extracted unless told otherwise, with N directions per
 //! node (default 4096), by default settings, over the box of all triangles in f16 (as it was by default once), and as asked: `--as fine
-//! grid.spacing=0.2`. Places (default 500 in the air, and as many
-//! on surfaces) are in the box of the default bake and have a seed of their own; truth has 65,536 directions each by default, and its
-//! noise is subtracted as `gdibl_baker::seen` does. *Valid* is what engines show that weigh the valid nodes around and know no walls.
+//! grid.spacing=0.2`. Places (default 500 in the air, and as many on surfaces) are in the box of the default bake and have a seed of
+//! their own; truth has 65,536 directions each by default, and the square of its noise is subtracted. *Valid* is what engines show that weigh the valid nodes around and know no walls.
 //! Errors are relative to the larger of E and a tenth of its median; RMSE is over root mean square of E.
 
 use std::path::Path;
@@ -22,7 +21,7 @@ use gdibl_baker::job::{Inputs, Job, Memory, Method, Settings, SunLight, Watch};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::path::{Path as Paths, PathSettings};
 use gdibl_baker::scene::Scene;
-use gdibl_baker::seen::places::{Place, in_the_air, on_surfaces};
+use gdibl_baker::seen::places;
 use gdibl_runtime::{RadianceSh, Volume};
 use gdibl_tools::made_levels::{aisle, terrain, two_storey};
 use gdibl_tools::{read_distant, read_scene};
@@ -135,7 +134,8 @@ impl Bake {
 
     fn row(&self, set: &Set) -> String {
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-        let at = |place: &Place| Vec3::from(self.volume.irradiance_f64(place.position.into(), place.normal.into()));
+        let at =
+            |place: &SurfacePlace| Vec3::from(self.volume.irradiance_f64(place.position.into(), place.normal.into()));
         let (found, rmse) = set.errors(at);
         let (valid, valid_rmse) = set.errors(|place| self.by_valid_nodes(place));
         let said =
@@ -157,7 +157,7 @@ impl Bake {
         .join(" | ")
     }
 
-    fn by_valid_nodes(&self, place: &Place) -> Vec3 {
+    fn by_valid_nodes(&self, place: &SurfacePlace) -> Vec3 {
         let cell = self.volume.cell(place.position.into()).expect("a grid");
         let mut sum = RadianceSh::zero(self.volume.header().bands);
         let pairs = || cell.nodes.iter().map(|node| *node as usize).zip(cell.weights);
@@ -172,7 +172,7 @@ impl Bake {
 /// Places with the true light there.
 struct Set {
     in_the_air: bool,
-    places: Vec<Place>,
+    places: Vec<SurfacePlace>,
     truth: Vec<Gathered>,
 }
 
@@ -183,8 +183,8 @@ impl Set {
         [true, false].map(|in_the_air| {
             let tries = 8 * count as u32;
             let places = match in_the_air {
-                true => in_the_air_of(bake, tries),
-                false => on_surfaces(&bake.scene, bake.bounds, function.frame().metres(5e-3).into(), tries, 99),
+                true => places::in_the_air(bake.bounds, tries, 99),
+                false => places::on_surfaces(&bake.scene, bake.bounds, function.frame().metres(5e-3).into(), tries, 99),
             };
             // Those in solids see backs and dark; a few directions tell.
             let pilot = gather(&function, &places, 256);
@@ -193,7 +193,7 @@ impl Set {
             let lit = (0..places.len()).filter(|place| open[*place]);
             let hidden =
                 HIDDEN * SeenErrors::of(lit.clone().map(|place| sizes[place])).expect("some place is lit").median;
-            let places: Vec<Place> =
+            let places: Vec<SurfacePlace> =
                 lit.filter(|place| sizes[*place] > hidden).map(|place| places[place]).take(count).collect();
             let truth = gather(&function, &places, samples);
             Set { in_the_air, places, truth }
@@ -201,10 +201,10 @@ impl Set {
     }
 
     /// Few backs of triangles are seen from there.
-    fn open(function: &Paths, places: &[Place]) -> Vec<bool> {
+    fn open(function: &Paths, places: &[SurfacePlace]) -> Vec<bool> {
         let directions = gdibl_baker::sampling::fibonacci_sphere(64);
         let level = function.level();
-        let is_open = |place: &Place| {
+        let is_open = |place: &SurfacePlace| {
             let origin = function.frame().to_trace(place.position);
             let backs = directions.iter().filter(|direction| {
                 let met = level.meet(origin, **direction, f32::INFINITY);
@@ -216,7 +216,7 @@ impl Set {
     }
 
     /// Of light that is found at each place; and the relative RMSE.
-    fn errors(&self, light: impl Fn(&Place) -> Vec3) -> (SeenErrors, f64) {
+    fn errors(&self, light: impl Fn(&SurfacePlace) -> Vec3) -> (SeenErrors, f64) {
         let sizes: Vec<f64> = self.truth.iter().map(|found| size(found.irradiance.as_vec3())).collect();
         let floor = 0.1 * SeenErrors::of(sizes.iter().copied()).expect("some place").median;
         let (mut errors, mut square, mut all) = (Vec::new(), 0.0, 0.0);
@@ -232,16 +232,10 @@ impl Set {
     }
 }
 
-fn in_the_air_of(bake: &Bake, tries: u32) -> Vec<Place> {
-    in_the_air(bake.bounds, tries, 99)
-}
-
-fn gather(function: &Paths, places: &[Place], samples: u64) -> Vec<Gathered> {
+fn gather(function: &Paths, places: &[SurfacePlace], samples: u64) -> Vec<Gathered> {
     let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
-    let places: Vec<SurfacePlace> =
-        places.iter().map(|place| SurfacePlace { position: place.position, normal: place.normal }).collect();
     let settings = GatherSettings { samples, seed: 99, ..GatherSettings::default() };
-    irradiance_at(&places, function, &settings, &control).expect("nobody interrupts a tool")
+    irradiance_at(places, function, &settings, &control).expect("nobody interrupts a tool")
 }
 
 /// Root mean square over red, green and blue.

@@ -91,7 +91,7 @@ fn seen_set_lines(place: &str, set: &SeenSet) -> [String; 2] {
     let parts = &set.parts;
     let systematic = match parts.systematic {
         0.0 => String::new(),
-        share => format!("; beside it bias {}", percent(share)),
+        share => format!(", and beside it bias {}", percent(share)),
     };
     [
         format!(
@@ -103,8 +103,8 @@ fn seen_set_lines(place: &str, set: &SeenSet) -> [String; 2] {
             percent(max)
         ),
         format!(
-            "  of it noise {}, between nodes {}, bands {}, numbers {} (root mean squares){systematic}; against mid-grey {} \
-             median, {} 95th percentile",
+            "  of it noise {}, between nodes {}, bands {}, numbers {} (root mean squares){systematic}; relative to at \
+             least 18 % of the mean: {} median, {} 95th percentile",
             percent(parts.noise),
             percent(parts.between),
             percent(parts.bands),

@@ -26,7 +26,7 @@ use crate::pack::volume_of;
 use crate::radiance::RadianceFunction;
 use crate::scene::Scene;
 use crate::{Control, Interrupted};
-use places::{Place, in_the_air, on_surfaces};
+use places::{in_the_air, on_surfaces};
 
 /// Places of either kind when nothing is said: a share of the nodes, within bounds.
 const SHARE: usize = 16;
@@ -37,11 +37,11 @@ const MOST: usize = 256;
 /// percentile, and 115 % was said.
 const TRIES: u32 = 3;
 const PILOT: u64 = 256;
-/// Of the directions for E at a place, so many find its coefficients.
+/// The coefficients at a place take the number of directions that E takes, divided by this.
 const COEFFICIENTS: u64 = 4;
 /// Places lie off their surface by so many trace units, as nodes at vertices do.
 const LIFT: f32 = 5e-3;
-/// Where next to no light gets, this share of the median, two surfaces touch and nobody looks.
+/// Places with less than this share of the median light are left out: two surfaces touch there, and nobody looks.
 const HIDDEN: f64 = 1e-3;
 /// The least light that errors are relative to: a tenth of the median; and for those who set their exposure by the room's mean, the
 /// share of it that is shown as mid-grey.
@@ -57,7 +57,7 @@ const OWN_SEED: u64 = 0x5ee4_0000_0000;
 /// Places in the open, and the light there.
 #[derive(Debug)]
 pub struct HeldOut {
-    places: Vec<Place>,
+    places: Vec<SurfacePlace>,
     /// How many of them are in the air; the others are on surfaces.
     in_the_air: usize,
     /// E at each.
@@ -88,13 +88,13 @@ pub fn hold_out(
     let tries = TRIES * count as u32;
     let lift = function.frame().metres(LIFT).into();
     let seed = settings.seed ^ OWN_SEED;
-    let bake_at = |places: &[Place], samples: u64| {
+    let bake_at = |places: &[SurfacePlace], samples: u64| {
         let samples = samples.clamp(1, BakeSettings::MAX_SAMPLES);
         let own = BakeSettings { samples, target_error: None, seed, coefficient_errors: false, ..settings.clone() };
         bake(&points_of(places), function, &own, control)
     };
     let mut rays = 0;
-    let mut lit = |places: Vec<Place>| -> Result<Vec<Place>, Interrupted> {
+    let mut lit = |places: Vec<SurfacePlace>| -> Result<Vec<SurfacePlace>, Interrupted> {
         let pilot = bake_at(&places, PILOT.min(samples))?;
         rays += pilot.rays;
         let is_lit = |node: &usize| pilot.node(*node).iter().any(|value| *value != 0.0);
@@ -106,15 +106,13 @@ pub fn hold_out(
     if places.is_empty() {
         return Ok(None);
     }
-    let asked: Vec<SurfacePlace> =
-        places.iter().map(|Place { position, normal }| SurfacePlace { position: *position, normal: *normal }).collect();
     let gather = GatherSettings { samples, seed, sampler: settings.sampler, guided: settings.importance };
     let traced = AtomicU64::new(0);
     let count = |places, rays| {
         traced.fetch_add(rays, Ordering::Relaxed);
         (control.progress)(places, rays);
     };
-    let truth = irradiance_at(&asked, function, &gather, &Control { cancel: control.cancel, progress: &count })?;
+    let truth = irradiance_at(&places, function, &gather, &Control { cancel: control.cancel, progress: &count })?;
     let baked = bake_at(&places, samples / COEFFICIENTS)?;
     let rays = rays + traced.into_inner() + baked.rays;
     Ok(Some(HeldOut { places, in_the_air, truth, baked, rays }))
@@ -143,7 +141,7 @@ impl HeldOut {
         let found: Vec<Found> = (0..count)
             .filter(|place| self.truth[*place].standard_error.is_finite())
             .map(|number| {
-                let Place { position, normal } = self.places[number];
+                let SurfacePlace { position, normal } = self.places[number];
                 let Gathered { irradiance: expected, standard_error, .. } = self.truth[number];
                 let expected = expected.as_vec3();
                 let [stored, as_baked] = [file, &exact]
@@ -173,7 +171,7 @@ impl HeldOut {
     }
 }
 
-fn points_of(places: &[Place]) -> Nodes {
+fn points_of(places: &[SurfacePlace]) -> Nodes {
     Nodes::Points(places.iter().map(|place| place.position).collect())
 }
 
@@ -248,7 +246,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     SeenErrors::of(values).map_or(0.0, |all| all.median)
 }
 
-/// The valid nodes around a place, and their weights, which add up to 1; none where there is none. Walls between them count not.
+/// The valid nodes around a place, and their weights, which add up to 1; none where no node is valid. Walls are not considered.
 fn nodes_around(volume: &Volume, baked: &Baked, position: DVec3) -> Vec<(usize, f64)> {
     let Some(cell) = volume.cell(position.to_array()) else { return Vec::new() };
     let all = cell.nodes.iter().zip(cell.weights).map(|(node, weight)| (*node as usize, f64::from(weight)));

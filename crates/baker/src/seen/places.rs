@@ -1,33 +1,25 @@
 //! Places at which an engine may ask a volume for light.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
+use crate::bake::SurfacePlace;
 use crate::sampling::{Sampler, Stream, uniform_sphere};
 use crate::scene::Scene;
 
-/// A place with the normal that is asked for there.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
-    /// World metres.
-    pub position: DVec3,
-    /// World unit normal.
-    pub normal: Vec3,
-}
-
 /// Places anywhere in a box, with normals of all directions: where moving objects are.
-pub fn in_the_air([min, max]: [DVec3; 2], count: u32, seed: u64) -> Vec<Place> {
+pub fn in_the_air([min, max]: [DVec3; 2], count: u32, seed: u64) -> Vec<SurfacePlace> {
     let stream = Stream::new(Sampler::Sobol, seed, 0, 0);
     let place = |number: u32| {
         let ([x, y], [z, _]) = (stream.point(number, 0), stream.point(number, 1));
         let position = min + (max - min) * DVec3::new(x.into(), y.into(), z.into());
-        Place { position, normal: uniform_sphere(stream.point(number, 2)) }
+        SurfacePlace { position, normal: uniform_sphere(stream.point(number, 2)) }
     };
     (0..count).map(place).collect()
 }
 
 /// Places on the front sides of what surfaces a box holds, evenly by area, lifted off them by so many metres. Of a two-sided
 /// surface either side may be the front. At most `count`: those that lie outside of the box, lifted, are left out.
-pub fn on_surfaces(scene: &Scene, bounds: [DVec3; 2], lift: f64, count: u32, seed: u64) -> Vec<Place> {
+pub fn on_surfaces(scene: &Scene, bounds: [DVec3; 2], lift: f64, count: u32, seed: u64) -> Vec<SurfacePlace> {
     let stream = Stream::new(Sampler::Sobol, seed, 1, 0);
     let mut triangles = Vec::new();
     let mut total = 0.0;
@@ -52,10 +44,10 @@ pub fn on_surfaces(scene: &Scene, bounds: [DVec3; 2], lift: f64, count: u32, see
         let is_turned = scene.materials[mesh.material as usize].double_sided && side < 0.5;
         let normal = if is_turned { -front } else { front };
         let position = place_in(&clipped(corners, bounds), first.into(), second.into());
-        Place { position: position + normal * lift, normal: normal.as_vec3() }
+        SurfacePlace { position: position + normal * lift, normal: normal.as_vec3() }
     };
     let [min, max] = bounds;
-    let inside = |place: &Place| place.position.cmpge(min).all() && place.position.cmple(max).all();
+    let inside = |place: &SurfacePlace| place.position.cmpge(min).all() && place.position.cmple(max).all();
     if triangles.is_empty() { Vec::new() } else { (0..count).map(place).filter(inside).collect() }
 }
 
@@ -113,6 +105,7 @@ fn place_in(polygon: &[DVec3], first: f64, second: f64) -> DVec3 {
 mod tests {
     use super::*;
     use crate::scene::{Material, Mesh};
+    use glam::Vec3;
 
     const UNIT: [DVec3; 2] = [DVec3::ZERO, DVec3::ONE];
 
@@ -142,7 +135,8 @@ mod tests {
         let mut positions: Vec<DVec3> = plane.iter().map(|(x, z)| DVec3::new(*x, 0.5, *z)).collect();
         positions.extend(small.iter().map(|(x, z)| DVec3::new(*x, 0.25, *z)));
         let places = on_surfaces(&scene_of(positions, false), UNIT, 1e-3, 4096, 7);
-        let (above, below): (Vec<Place>, Vec<Place>) = places.iter().partition(|place| place.position.y > 0.4);
+        let (above, below): (Vec<SurfacePlace>, Vec<SurfacePlace>) =
+            places.iter().partition(|place| place.position.y > 0.4);
         // Areas are 1 and 0.5.
         assert!((above.len() as f64 / 4096.0 - 2.0 / 3.0).abs() < 0.01, "{}", above.len());
         for place in &above {

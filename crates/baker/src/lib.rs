@@ -45,6 +45,7 @@ pub mod capture;
 mod colour;
 mod control;
 pub mod cut;
+mod disjoint;
 pub mod error;
 pub mod exposure;
 pub mod import;

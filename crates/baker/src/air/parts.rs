@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use crate::disjoint::Disjoint;
 use crate::scene::{Mesh, Scene};
 
 /// A surface is level enough to stand on up to this slope, as the cosine: 30 degrees.
@@ -55,7 +56,7 @@ impl Parts {
         let mut parts = Parts::default();
         for (index, mesh) in scene.meshes.iter().enumerate() {
             let double_sided = scene.materials[mesh.material as usize].double_sided;
-            let mut joined = Joined::of(mesh);
+            let mut joined = joined(mesh);
             let mut numbers = vec![u32::MAX; mesh.positions.len()];
             for triangle in &mesh.triangles {
                 let [a, b, c] = triangle.map(|corner| mesh.positions[corner as usize]);
@@ -89,58 +90,37 @@ pub(super) fn is_sloped(normal: DVec3) -> bool {
     normal.y * normal.y < SLOPED * SLOPED * normal.length_squared()
 }
 
-/// Vertices of a mesh that triangles or a common place join. Based on: Galler and Fischer, "An Improved Equivalence
-/// Algorithm", 1964.
-struct Joined {
-    parents: Vec<u32>,
+/// Vertices of a mesh that triangles or a common place join.
+fn joined(mesh: &Mesh) -> Disjoint {
+    let mut joined = Disjoint::default();
+    joined.grow(mesh.positions.len() as u32);
+    join_places(&mut joined, &mesh.positions);
+    for &[a, b, c] in &mesh.triangles {
+        joined.join(a, b);
+        joined.join(a, c);
+    }
+    joined
 }
 
-impl Joined {
-    fn of(mesh: &Mesh) -> Joined {
-        let mut joined = Joined { parents: (0..mesh.positions.len() as u32).collect() };
-        joined.join_places(&mesh.positions);
-        for &[a, b, c] in &mesh.triangles {
-            joined.join(a, b);
-            joined.join(a, c);
-        }
-        joined
-    }
-
-    /// Vertices in one place are one: a table with open addressing, twice as large as what it holds at least.
-    fn join_places(&mut self, positions: &[DVec3]) {
-        let mask = usize::next_power_of_two(2 * positions.len()) - 1;
-        let mut table = vec![u32::MAX; mask + 1];
-        for (vertex, &position) in (0..).zip(positions) {
-            let mut slot = hash(position) as usize & mask;
-            loop {
-                match table[slot] {
-                    u32::MAX => {
-                        table[slot] = vertex;
-                        break;
-                    }
-                    other if positions[other as usize] == position => {
-                        self.parents[vertex as usize] = other;
-                        break;
-                    }
-                    _ => slot = (slot + 1) & mask,
+/// Vertices in one place are one: a table with open addressing, twice as large as what it holds at least.
+fn join_places(joined: &mut Disjoint, positions: &[DVec3]) {
+    let mask = usize::next_power_of_two(2 * positions.len()) - 1;
+    let mut table = vec![u32::MAX; mask + 1];
+    for (vertex, &position) in (0..).zip(positions) {
+        let mut slot = hash(position) as usize & mask;
+        loop {
+            match table[slot] {
+                u32::MAX => {
+                    table[slot] = vertex;
+                    break;
                 }
+                other if positions[other as usize] == position => {
+                    joined.join(vertex, other);
+                    break;
+                }
+                _ => slot = (slot + 1) & mask,
             }
         }
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.first(a), self.first(b));
-        self.parents[a.max(b) as usize] = a.min(b);
-    }
-
-    /// The vertex that stands for all that hang together with one.
-    fn first(&mut self, mut vertex: u32) -> u32 {
-        while self.parents[vertex as usize] != vertex {
-            let parent = self.parents[vertex as usize];
-            self.parents[vertex as usize] = self.parents[parent as usize];
-            vertex = parent;
-        }
-        vertex
     }
 }
 

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 
 use super::Nodes;
+use crate::disjoint::Disjoint;
 use crate::scene::Scene;
 use crate::trace::{Frame, Tree};
 
@@ -36,7 +37,7 @@ impl Shells {
     fn of(scene: &Scene) -> Shells {
         // Corners that lie in one place are one.
         let mut places: HashMap<[u64; 3], u32> = HashMap::new();
-        let mut parts = Parts::default();
+        let mut parts = Disjoint::default();
         let mut triangles = Vec::new();
         let mut clear = Vec::new();
         for mesh in &scene.meshes {
@@ -48,7 +49,9 @@ impl Shells {
                     let next = places.len() as u32;
                     *places.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert(next)
                 });
-                parts.join(corners);
+                parts.grow(places.len() as u32);
+                parts.join(corners[0], corners[1]);
+                parts.join(corners[0], corners[2]);
                 if is_clear {
                     clear.push(corners[0]);
                 }
@@ -63,7 +66,7 @@ impl Shells {
             }
         }
         let open = balance.iter().filter(|(_, balance)| **balance != 0).map(|((corner, _), _)| *corner);
-        let leaky: Vec<u32> = open.chain(clear).map(|corner| parts.of(corner)).collect();
+        let leaky: Vec<u32> = open.chain(clear).map(|corner| parts.first(corner)).collect();
         let mut is_shell = vec![true; places.len()];
         leaky.into_iter().for_each(|part| is_shell[part as usize] = false);
 
@@ -71,7 +74,7 @@ impl Shells {
         let mut numbers: HashMap<u32, u32> = HashMap::new();
         let (mut corners, mut of_triangle) = (Vec::new(), Vec::new());
         for (ids, positions) in &triangles {
-            let part = parts.of(ids[0]);
+            let part = parts.first(ids[0]);
             if is_shell[part as usize] {
                 let next = numbers.len() as u32;
                 of_triangle.push(*numbers.entry(part).or_insert(next));
@@ -96,33 +99,5 @@ impl Shells {
             around.iter_mut().zip(&windings).for_each(|(around, winding)| *around &= *winding != 0);
         }
         around.contains(&true)
-    }
-}
-
-/// Corners that triangles join. Based on: Galler and Fischer, "An Improved Equivalence Algorithm", 1964.
-#[derive(Default)]
-struct Parts {
-    parents: Vec<u32>,
-}
-
-impl Parts {
-    fn join(&mut self, corners: [u32; 3]) {
-        let most = corners.into_iter().max().unwrap_or(0);
-        self.parents.extend(self.parents.len() as u32..=most);
-        let first = self.of(corners[0]);
-        for corner in &corners[1..] {
-            let other = self.of(*corner);
-            self.parents[other as usize] = first;
-        }
-    }
-
-    /// The corner that stands for all that hang together with one.
-    fn of(&mut self, mut corner: u32) -> u32 {
-        while self.parents[corner as usize] != corner {
-            let parent = self.parents[corner as usize];
-            self.parents[corner as usize] = self.parents[parent as usize];
-            corner = parent;
-        }
-        corner
     }
 }

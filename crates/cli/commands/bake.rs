@@ -69,7 +69,8 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let inputs = read_inputs(&config, config.textures())?;
     let mut job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
     if arguments.plan {
-        let plan = job.plan();
+        let mut plan = job.plan();
+        plan.push(time_row(&job, &stages, session)?);
         let text = plan_text(&plan);
         return Ok(Outcome::new(PlanReport { plan }, text));
     }
@@ -139,12 +140,25 @@ fn write(
     Ok(Outcome::new(report, text))
 }
 
+/// How long the bake is likely to take: a few nodes are baked.
+fn time_row(job: &Job, stages: &Stages, session: &Session) -> Result<PlanRow, Fault> {
+    if job.wants_capture() {
+        return Ok(PlanRow::new("time", false, "it depends on probes that are still to be captured"));
+    }
+    let seconds = || stages.total().0;
+    let watch = Watch { seconds: &seconds, ..Watch::silent(&session.cancel) };
+    let likely = job.likely_seconds(&watch).map_err(|_| Fault::Interrupted)?;
+    Ok(PlanRow::new("time", true, format!("about {likely:.1} s on this machine, as a few nodes took")))
+}
+
 /// Runs the job with a progress bar.
 fn bake(job: Job, stages: &Stages, session: &Session, quiet: bool) -> Result<Made, Fault> {
     let progress = Progress::new("nodes", job.nodes().len() as u64, quiet);
     let advance = |nodes, rays| progress.advance(nodes, rays);
     let stage = |stage: Stage| stages.next(stage.name());
-    let made = job.run(&Watch { cancel: &session.cancel, progress: &advance, stage: &stage })?;
+    let seconds = || stages.total().0;
+    let watch = Watch { cancel: &session.cancel, progress: &advance, stage: &stage, seconds: &seconds };
+    let made = job.run(&watch)?;
     stages.next(Stage::Pack.name());
     progress.finish();
     Ok(made)

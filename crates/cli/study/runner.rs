@@ -103,7 +103,7 @@ impl Runner<'_> {
                 setup.set([clock.wall_seconds(), clock.cpu_seconds()]);
             }
         };
-        let watch = Watch { cancel: self.cancel, progress: &advance, stage: &stage };
+        let watch = Watch { cancel: self.cancel, progress: &advance, stage: &stage, seconds: &|| 0.0 };
         let baked = self.job.sample(&settings, method.importance(), &watch).map_err(|_| Fault::Interrupted)?.baked;
         let [setup_wall, setup_cpu] = setup.get();
         let cost = Cost {

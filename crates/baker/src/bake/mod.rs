@@ -30,7 +30,7 @@ pub use gather::{GatherSettings, Gathered, SurfacePlace, irradiance_at};
 pub use gdibl_runtime::walls::WallCell;
 pub use integrate::{INTERVAL_95, WHOLE_INTERVAL_95};
 pub(crate) use irradiance::{Irradiance, difference, irradiance_of, root_mean_square, strength};
-pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_spacing};
+pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_nodes, grid_of_spacing, widest_spacing};
 use sample::{Batch, Sampled, Scale};
 pub use sealed::is_sealed;
 pub use sparse::{bake_sparse, grid_of_cells, levels_of};

@@ -180,13 +180,11 @@ impl Nodes {
     /// quarter and 0.50 % with an eighth.
     pub fn coarsest_pixel(&self, size: f64) -> f32 {
         let spacing = match self {
-            Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }) => {
-                let axes = (0..3).filter(|axis| grid.counts[*axis] > 1);
-                axes.map(|axis| grid.spacing()[axis]).max_by(f64::total_cmp)
-            }
-            Nodes::Points(_) | Nodes::Vertices { .. } => None,
+            Nodes::Grid(grid) | Nodes::Sparse(SparseGrid { grid, .. }) => widest_spacing(grid),
+            Nodes::Points(_) | Nodes::Vertices { .. } => 0.0,
         };
-        (0.5 * spacing.unwrap_or(size / f64::from(USUAL_CELLS)).min(size / 4.0)) as f32
+        let spacing = if spacing > 0.0 { spacing } else { size / f64::from(USUAL_CELLS) };
+        (0.5 * spacing.min(size / 4.0)) as f32
     }
 
     /// Where the rays of a node start, trace units.
@@ -241,6 +239,29 @@ pub fn grid_of_spacing(min: DVec3, max: DVec3, spacing: f64) -> Grid {
     grid_of_counts(min, max, counts)
 }
 
+/// The finest grid over a box that has at most so many nodes, about as far apart along each axis.
+pub fn grid_of_nodes(min: DVec3, max: DVec3, nodes: u64) -> Grid {
+    let count =
+        |spacing: f64| grid_of_spacing(min, max, spacing).counts.iter().map(|count| f64::from(*count)).product();
+    let fits = |count: f64| count <= nodes as f64;
+    let longest = (max - min).max_element();
+    if !fits(count(longest)) || longest <= 0.0 {
+        return grid_of_counts(min, max, [1; 3]);
+    }
+    // Halved by geometric means: their roots are the same on every machine.
+    let (mut too_fine, mut fine) = (longest * 1e-10, longest);
+    for _ in 0..64 {
+        let middle = (too_fine * fine).sqrt();
+        if fits(count(middle)) { fine = middle } else { too_fine = middle }
+    }
+    grid_of_spacing(min, max, fine)
+}
+
+/// The greatest distance between neighbours, metres; 0 of one node.
+pub fn widest_spacing(grid: &Grid) -> f64 {
+    (0..3).filter(|axis| grid.counts[*axis] > 1).map(|axis| grid.spacing()[axis]).fold(0.0, f64::max)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -253,5 +274,24 @@ mod tests {
         assert_eq!(grid.counts, [11, 11, 31]);
         assert_eq!(grid_of_spacing(DVec3::ONE, DVec3::ONE, 0.5).counts, [1, 1, 1]);
         assert_eq!(grid_of_spacing(DVec3::ZERO, DVec3::ONE, 1e-30).counts[0], u32::MAX);
+    }
+
+    #[test]
+    fn a_grid_of_some_nodes_is_the_finest_that_has_no_more() {
+        let cube = |nodes| grid_of_nodes(DVec3::ZERO, DVec3::ONE, nodes).counts;
+        assert_eq!(cube(1000), [10; 3]);
+        assert_eq!(cube(1330), [10; 3]);
+        assert_eq!(cube(1331), [11; 3]);
+        assert_eq!(cube(8), [2; 3]);
+        assert_eq!(cube(7), [1; 3]);
+        // A tunnel, a floor, a place.
+        assert_eq!(grid_of_nodes(DVec3::ZERO, DVec3::new(1.0, 1.0, 100.0), 44).counts, [2, 2, 11]);
+        assert_eq!(grid_of_nodes(DVec3::ZERO, DVec3::new(1.0, 0.0, 1.0), 100).counts, [10, 1, 10]);
+        assert_eq!(grid_of_nodes(DVec3::ONE, DVec3::ONE, 100).counts, [1; 3]);
+        let many = grid_of_nodes(DVec3::ZERO, DVec3::new(3.0, 2.0, 1.0), 1_000_000);
+        assert!((990_000..=1_000_000).contains(&many.node_count()), "{:?}", many.counts);
+        // Nodes are about as far apart on every axis.
+        let [x, y, z] = many.spacing();
+        assert!((x / y - 1.0).abs() < 0.02 && (y / z - 1.0).abs() < 0.02);
     }
 }

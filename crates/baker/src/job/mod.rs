@@ -10,21 +10,20 @@ mod nodes;
 pub mod plan;
 pub mod records;
 mod settings;
+mod spacing;
 mod statistics;
 mod stop;
 mod text;
+mod work;
 
 use gdibl_runtime::Volume;
-use glam::DVec3;
-use std::sync::atomic::AtomicBool;
+use gdibl_runtime::grid::Grid;
 
 use crate::bake::{self, Baked, Nodes};
 use crate::exposure::{ExposureMatch, match_exposure};
 use crate::pack::{PackSettings, Sections, pack, sections};
-use crate::radiance::gdibl::Gdibl;
-use crate::radiance::path::{Path, light_without_end};
+use crate::radiance::RadianceFunction;
 use crate::radiance::unseen::UNSEEN_PLACES;
-use crate::radiance::{Distant, RadianceFunction};
 use crate::seen::{self, HeldOut};
 use crate::{Control, Finding, Interrupted};
 use bands::Truncation;
@@ -32,57 +31,17 @@ pub use inputs::Inputs;
 use nodes::Placed;
 use records::{InputRecord, PlanRow, Records, SettingRecord, SettingsRecord, StageRecord, StatisticsRecord, SunRecord};
 pub use settings::{CapturePlan, GridSettings, OutOfRange, QualitySettings, ROWS, Row, Settings};
+use spacing::{Limits, Next, Pace, Search, Trial, Tried};
 pub use statistics::check_valid;
 use statistics::{blurred_sun, findings_of, probe_records};
 pub use stop::Stop;
 pub use text::{Bands, Method, NodeKind, Punctual, SunLight, Text};
+pub use work::{Decided, Stage, Viewers, Watch, Work, with_function};
 
 /// What `--sh auto` allows fewer bands to lose where no tolerance is given.
 const BANDS_TOLERANCE: f64 = 0.1;
 /// What a sparse grid is taken to have of its places, before anything is known of it. Rooms have less.
 const SPARSE_SHARE: u64 = 2;
-
-/// What a job does, in order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
-    /// Trees, tables and what probes see are built.
-    Prepare,
-    /// Nodes are sampled, filled, and what stands between them is found.
-    Nodes,
-    /// Light is sampled between nodes.
-    Seen,
-    /// Bands, numbers and sections of the file.
-    Pack,
-}
-
-impl Stage {
-    /// Its name in records.
-    pub fn name(self) -> &'static str {
-        match self {
-            Stage::Prepare => "prepare",
-            Stage::Nodes => "nodes",
-            Stage::Seen => "seen",
-            Stage::Pack => "pack",
-        }
-    }
-}
-
-/// Lets a caller watch a job and stop it. The library reads no clock: who watches does.
-pub struct Watch<'a> {
-    /// Set it to stop.
-    pub cancel: &'a AtomicBool,
-    /// Called from worker threads with (nodes finished, rays traced) since the last call.
-    pub progress: &'a (dyn Fn(u64, u64) + Sync),
-    /// A stage begins.
-    pub stage: &'a dyn Fn(Stage),
-}
-
-impl<'a> Watch<'a> {
-    /// Looks at nothing.
-    pub fn silent(cancel: &'a AtomicBool) -> Watch<'a> {
-        Watch { cancel, progress: &|_, _| {}, stage: &|_| {} }
-    }
-}
 
 /// A bake whose inputs and settings fit together.
 #[derive(Debug)]
@@ -91,7 +50,10 @@ pub struct Job {
     pub inputs: Inputs,
     /// As they were asked for.
     pub settings: Settings,
+    memory: Memory,
     nodes: Nodes,
+    /// The nodes are a grid as fine as is allowed: light may need fewer.
+    is_open: bool,
     /// Where the box of a grid is from.
     bounds: PlanRow,
     sun: Option<SunRecord>,
@@ -135,14 +97,14 @@ impl Job {
             SunLight::Include => None,
             SunLight::Extract => extract_sun(&mut inputs)?,
         };
-        let Placed { nodes, row: bounds, findings } =
+        let Placed { nodes, is_open, row: bounds, findings } =
             nodes::nodes_of(&settings, &inputs.scene, &inputs.places, &inputs.level)?;
         inputs.findings.extend(findings);
         memory.check(&nodes, &settings)?;
         // Nothing asks for what no node can see.
         let sealed = inputs.distant.as_ref().filter(|_| bake::is_sealed(&nodes, &inputs.scene));
         let sealed = sealed.map(|distant| plan::sealed_distant(&distant.name));
-        Ok(Job { inputs, settings, nodes, bounds, sun, exposure, sealed })
+        Ok(Job { inputs, settings, memory, nodes, is_open, bounds, sun, exposure, sealed })
     }
 
     /// Where light will be baked.
@@ -164,6 +126,13 @@ impl Job {
     pub fn plan(&self) -> Vec<PlanRow> {
         let mut rows = self.first_rows();
         rows.extend(self.with_function(&self.settings, RowsOf));
+        if self.searches() {
+            rows.push(PlanRow::new(
+                "spacing",
+                true,
+                "coarse grids first, until the error between nodes is small enough",
+            ));
+        }
         rows.push(plan::sparse(&self.nodes, self.settings.grid.tolerance, None));
         rows.push(plan::walls(&self.nodes, &self.inputs.scene, None));
         if self.settings.quality.sh == Bands::Auto {
@@ -181,9 +150,16 @@ impl Job {
     ///
     /// # Errors
     /// No node has light of its own, or the caller cancelled.
-    pub fn run(self, watch: &Watch) -> Result<Made, Stop> {
+    pub fn run(mut self, watch: &Watch) -> Result<Made, Stop> {
+        if let Some(budget) = self.settings.grid.budget {
+            self.fit(budget, watch)?;
+        }
         let (method, mut rows) = (self.method(), self.first_rows());
-        let Sampled { nodes, mut baked, sparse, held_out, decided } = self.sample(&self.settings, true, watch)?;
+        (watch.stage)(Stage::Prepare);
+        let sample =
+            Sample { job: &self, settings: &self.settings, importance: true, searches: self.searches(), watch };
+        let sampled = self.with_function(&self.settings, sample)?;
+        let Sampled { nodes, mut baked, sparse, held_out, decided, stages } = sampled;
         check_valid(&baked).map_err(Stop::Nothing)?;
         bake::check_finite(nodes.as_ref().unwrap_or(&self.nodes), &baked, &self.inputs.scene)
             .map_err(|why| Stop::Invalid(format!("{}: {why}", self.inputs.level)))?;
@@ -202,9 +178,8 @@ impl Job {
         let mut findings = self.inputs.findings.clone();
         findings.extend(decided.findings);
         findings.extend(findings_of(&baked, quality.clamp.unwrap_or(f32::INFINITY)));
-        let stage = |stage: Stage, rays| StageRecord { stage: stage.name().into(), rays, seconds: None };
-        let mut stages = vec![stage(Stage::Nodes, baked.rays)];
-        stages.extend(held_out.as_ref().map(|held_out| stage(Stage::Seen, held_out.rays())));
+        let stage = |(stage, rays): (Stage, u64)| StageRecord { stage: stage.name().into(), rays, seconds: None };
+        let stages = stages.into_iter().map(stage).collect();
         let seen = held_out.map(|held_out| held_out.errors(&nodes, &baked, &as_read(&nodes, &baked, &self.settings)));
         let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
         findings.extend(seen.and_then(|seen| blurred_sun(&seen, distant.filter(|_| self.sun.is_none()))));
@@ -228,7 +203,40 @@ impl Job {
     /// The caller cancelled.
     pub fn sample(&self, settings: &Settings, importance: bool, watch: &Watch) -> Result<Sampled, Interrupted> {
         (watch.stage)(Stage::Prepare);
-        self.with_function(settings, Sample { job: self, settings, importance, watch })
+        self.with_function(settings, Sample { job: self, settings, importance, searches: false, watch })
+    }
+
+    /// Coarser grids are tried first.
+    fn searches(&self) -> bool {
+        self.is_open && self.settings.quality.seen_places != Some(0)
+    }
+
+    /// Lets the grid have as many nodes as can be baked in so many seconds since the run began.
+    fn fit(&mut self, budget: f64, watch: &Watch) -> Result<(), Stop> {
+        let Nodes::Grid(grid) = &self.nodes else { return Ok(()) };
+        (watch.stage)(Stage::Spacing);
+        let pace = self.pace(budget, watch)?;
+        let nodes = pace.nodes_in(budget - (watch.seconds)(), self.settings.quality.seen_places);
+        // A volume holds no more than 2^32 nodes.
+        let asked = self.settings.grid.max_nodes.unwrap_or(u32::MAX.into());
+        let nodes = nodes.min(asked).min(self.memory.most_nodes(&self.settings)).max(1);
+        self.nodes = Nodes::Grid(bake::grid_of_nodes(grid.min.into(), grid.max.into(), nodes));
+        self.settings.grid = GridSettings { max_nodes: Some(nodes), budget: None, ..self.settings.grid.clone() };
+        Ok(())
+    }
+
+    fn pace(&self, budget: f64, watch: &Watch) -> Result<Pace, Interrupted> {
+        let begun = (watch.seconds)();
+        self.with_function(&self.settings, Trial { nodes: &self.nodes, budget, settings: &self.settings, begun, watch })
+    }
+
+    /// Seconds that the bake is likely to take on this machine, without the capture of probes; a few nodes are baked to know.
+    ///
+    /// # Errors
+    /// The caller cancelled.
+    pub fn likely_seconds(&self, watch: &Watch) -> Result<f64, Interrupted> {
+        let pace = self.pace(0.0, watch)?;
+        Ok(pace.seconds_of(&self.nodes, self.searches(), self.settings.quality.seen_places))
     }
 
     /// Calls `work` with the radiance function of the method in force.
@@ -258,69 +266,17 @@ impl Job {
         });
         rows.extend(self.sealed.clone());
         rows.push(self.bounds.clone());
-        rows.push(plan::nodes(&self.nodes, &self.settings));
-        rows
-    }
-}
-
-/// Work on a radiance function, whichever it is.
-pub trait Work {
-    /// What comes of it.
-    type Output;
-
-    /// `decided`: what the function does and leaves out, and what it found.
-    fn run(self, function: &impl RadianceFunction, decided: Decided) -> Self::Output;
-}
-
-/// What a radiance function decided when it was built.
-#[derive(Debug, Clone, Default)]
-pub struct Decided {
-    /// What it does and leaves out.
-    pub rows: Vec<PlanRow>,
-    /// What deserves a look.
-    pub findings: Vec<Finding>,
-}
-
-/// Who will ask for light, as far as the radiance function depends on it.
-#[derive(Debug, Clone)]
-pub struct Viewers {
-    /// Directions, all together; 0: not known, and nothing is remembered.
-    pub directions: u64,
-    /// A probe counts where its pixel covers a square of at most this edge, metres.
-    pub coarsest: f32,
-    /// Some of the places, world metres: from there it is found what probes do not see.
-    pub places: Vec<DVec3>,
-}
-
-/// Calls `work` with the radiance function of the method in force.
-pub fn with_function<W: Work>(
-    inputs: &Inputs,
-    distant: Option<&Distant>,
-    settings: &Settings,
-    viewers: &Viewers,
-    work: W,
-) -> W::Output {
-    let scene = &inputs.scene;
-    // Of a panorama that no node can see the job says so itself.
-    let without_sealed = |mut rows: Vec<PlanRow>| {
-        if inputs.distant.is_some() && distant.is_none() {
-            rows.retain(|row| row.stage != "distant");
+        let is_at_most = self.is_open || settings.grid.tolerance.is_some();
+        rows.push(plan::nodes(&self.nodes, is_at_most, settings));
+        match (&self.nodes, self.searches()) {
+            (_, true) => {}
+            (Nodes::Grid(_), _) if self.is_open => {
+                rows.push(PlanRow::new("spacing", false, "no error is measured: the finest that is allowed"))
+            }
+            (Nodes::Grid(_), _) => rows.push(PlanRow::new("spacing", false, "it is given")),
+            _ => rows.push(PlanRow::new("spacing", false, "nodes are no grid")),
         }
         rows
-    };
-    if inputs.method(settings) == Method::Gdibl {
-        let own = settings.gdibl(inputs.captured, viewers.directions, viewers.coarsest);
-        let mut function = Gdibl::new(scene, &inputs.probes, distant, own);
-        if !inputs.probes.is_empty() {
-            function.choose_unseen(settings.quality.unseen, &viewers.places);
-        }
-        let rows = without_sealed(plan::plan(scene, &function));
-        work.run(&function, Decided { rows, findings: Vec::new() })
-    } else {
-        let function = Path::new(scene, distant, settings.path());
-        let rows = without_sealed(plan::plan_path(scene, &function));
-        let findings = light_without_end(scene, &function).into_iter().collect();
-        work.run(&function, Decided { rows, findings })
     }
 }
 
@@ -346,8 +302,10 @@ pub struct Sampled {
     pub sparse: Option<records::SparseRecord>,
     /// Light between nodes.
     pub held_out: Option<HeldOut>,
-    /// What the radiance function decided.
+    /// What the radiance function decided, and how fine the grid has to be.
     pub decided: Decided,
+    /// What was done, with its rays.
+    pub stages: Vec<(Stage, u64)>,
 }
 
 /// Bakes the nodes of a job.
@@ -355,6 +313,8 @@ struct Sample<'a, 'b> {
     job: &'a Job,
     settings: &'a Settings,
     importance: bool,
+    /// Coarser grids first.
+    searches: bool,
     watch: &'a Watch<'b>,
 }
 
@@ -362,10 +322,24 @@ impl Work for Sample<'_, '_> {
     type Output = Result<Sampled, Interrupted>;
 
     fn run(self, function: &impl RadianceFunction, decided: Decided) -> Self::Output {
-        let Sample { job, settings, importance, watch } = self;
+        match &self.job.nodes {
+            Nodes::Grid(finest) if self.searches => self.search(finest, function, decided),
+            _ => self.bake(function, decided),
+        }
+    }
+}
+
+impl Sample<'_, '_> {
+    fn bake_settings(&self) -> bake::BakeSettings {
+        bake::BakeSettings { importance: self.importance, ..self.settings.bake() }
+    }
+
+    /// Bakes the nodes that the job says.
+    fn bake(&self, function: &impl RadianceFunction, decided: Decided) -> Result<Sampled, Interrupted> {
+        let Sample { job, settings, watch, .. } = self;
         (watch.stage)(Stage::Nodes);
         let control = Control { cancel: watch.cancel, progress: watch.progress };
-        let bake_settings = bake::BakeSettings { importance, ..settings.bake() };
+        let bake_settings = self.bake_settings();
         let (nodes, baked, sparse) = match (&job.nodes, settings.grid.tolerance) {
             (Nodes::Grid(grid), Some(tolerance)) => {
                 let (nodes, baked, record) = bake::bake_sparse(grid, tolerance, function, &bake_settings, &control)?;
@@ -373,17 +347,86 @@ impl Work for Sample<'_, '_> {
             }
             _ => (None, bake::bake(&job.nodes, function, &bake_settings, &control)?, None),
         };
+        let mut stages = vec![(Stage::Nodes, baked.rays)];
         let all = nodes.as_ref().unwrap_or(&job.nodes);
-        let count = settings.quality.seen_places.map_or_else(|| seen::usual_count(all.len()), |count| count as usize);
         let mut held_out = None;
-        if count > 0 && matches!(all, Nodes::Grid(_) | Nodes::Sparse(_)) {
+        if settings.quality.seen_places != Some(0) && matches!(all, Nodes::Grid(_) | Nodes::Sparse(_)) {
             (watch.stage)(Stage::Seen);
-            let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
-            // As many directions as a node took.
-            let samples = baked.samples.div_ceil(baked.valid_nodes().count().max(1) as u64);
-            held_out = seen::hold_out(all, &job.inputs.scene, count, samples, function, &bake_settings, &control)?;
+            held_out = self.hold_out(all, &baked, function)?;
+            stages.extend(held_out.as_ref().map(|held_out| (Stage::Seen, held_out.rays())));
         }
-        Ok(Sampled { nodes, baked, sparse, held_out, decided })
+        Ok(Sampled { nodes, baked, sparse, held_out, decided, stages })
+    }
+
+    /// Bakes grids over the box of the finest, until one is fine enough.
+    fn search(
+        &self,
+        finest: &Grid,
+        function: &impl RadianceFunction,
+        mut decided: Decided,
+    ) -> Result<Sampled, Interrupted> {
+        let Sample { job, settings, watch, .. } = self;
+        (watch.stage)(Stage::Spacing);
+        let bake_settings = self.bake_settings();
+        let silent = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
+        let mut search = Search::new(finest, Limits::of(&settings.grid, settings.quality.max_seen_error));
+        let (mut bakes, mut held_out) = (Vec::new(), None);
+        let (grid, baked, stage) = loop {
+            match search.next() {
+                Next::Try(grid) => {
+                    let nodes = Nodes::Grid(grid.clone());
+                    let baked = bake::bake(&nodes, function, &bake_settings, &silent)?;
+                    if bakes.is_empty() {
+                        held_out = self.hold_out(&job.nodes, &baked, function)?;
+                    }
+                    let packing = PackSettings { zstd: false, ..settings.pack() };
+                    let bytes = pack(&nodes, &baked, Records::default(), packing).bytes;
+                    let volume = Volume::parse(&bytes).expect("what was packed parses");
+                    let seen = held_out.as_ref().map(|held_out| held_out.errors(&nodes, &baked, &volume));
+                    let error = seen.as_ref().map_or(f64::INFINITY, spacing::error_of);
+                    search.tell(Tried { grid: grid.clone(), error, bytes: bytes.len() as u64 });
+                    bakes.push((grid, baked));
+                }
+                Next::Take(number) => {
+                    let (grid, baked) = bakes.swap_remove(number);
+                    break (grid, baked, Stage::Spacing);
+                }
+                Next::Last(grid) => {
+                    (watch.stage)(Stage::Nodes);
+                    let control = Control { cancel: watch.cancel, progress: watch.progress };
+                    let baked = bake::bake(&Nodes::Grid(grid.clone()), function, &bake_settings, &control)?;
+                    break (grid, baked, Stage::Nodes);
+                }
+            }
+        };
+        let before = bakes.iter().map(|(_, baked): &(Grid, Baked)| baked.rays).sum::<u64>()
+            + held_out.as_ref().map_or(0, HeldOut::rays);
+        let stages = match stage {
+            Stage::Spacing => vec![(stage, before + baked.rays)],
+            _ => vec![(Stage::Spacing, before), (stage, baked.rays)],
+        };
+
+        decided.rows.push(search.row(&grid));
+        Ok(Sampled { nodes: Some(Nodes::Grid(grid)), baked, sparse: None, held_out, decided, stages })
+    }
+
+    /// Light between nodes, by as many directions as one of these takes. `None`: no light reaches any place, or none of these.
+    fn hold_out(
+        &self,
+        nodes: &Nodes,
+        baked: &Baked,
+        function: &impl RadianceFunction,
+    ) -> Result<Option<HeldOut>, Interrupted> {
+        let usual = || seen::usual_count(nodes.len());
+        let count = self.settings.quality.seen_places.map_or_else(usual, |count| count as usize);
+        let valid = baked.valid_nodes().count() as u64;
+        if valid == 0 {
+            return Ok(None);
+        }
+        let samples = baked.samples.div_ceil(valid);
+        let watch = self.watch;
+        let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
+        seen::hold_out(nodes, &self.job.inputs.scene, count, samples, function, &self.bake_settings(), &control)
     }
 }
 
@@ -412,6 +455,11 @@ pub struct Memory {
 impl Memory {
     /// No bound.
     pub const UNBOUNDED: Memory = Memory { bytes: f64::INFINITY, is_asked: false };
+
+    /// The most nodes that fit in.
+    fn most_nodes(self, settings: &Settings) -> u64 {
+        (self.bytes / bake::memory_needed(1, &settings.bake()) as f64) as u64
+    }
 
     /// Says what a bake needs before any of it is taken.
     fn check(self, nodes: &Nodes, settings: &Settings) -> Result<(), Stop> {

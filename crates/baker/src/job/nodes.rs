@@ -6,15 +6,14 @@ use glam::DVec3;
 use super::plan;
 use super::records::PlanRow;
 use super::settings::{GridSettings, Settings};
+use super::spacing::Limits;
 use super::stop::Stop;
 use super::text::NodeKind;
 use crate::Finding;
 use crate::air::Air;
-use crate::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_spacing};
+use crate::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_nodes, grid_of_spacing, widest_spacing};
 use crate::scene::Scene;
 
-/// Nodes along the longest axis when nothing is said.
-const DEFAULT_NODES: f64 = 32.0;
 /// Nodes farther apart than this share of the height of rooms miss what light does in them.
 const WIDE_INDOORS: f64 = 0.5;
 /// The same where most is in the open: what is under a ceiling there may be under a table.
@@ -26,6 +25,8 @@ const LIKELY: std::ops::RangeInclusive<f64> = 0.01..=10_000.0;
 #[derive(Debug)]
 pub(super) struct Placed {
     pub nodes: Nodes,
+    /// Nobody says how fine the grid is: it is the finest that is allowed.
+    pub is_open: bool,
     /// Where the box of a grid is from.
     pub row: PlanRow,
     /// What is wrong with box or spacing.
@@ -35,12 +36,17 @@ pub(super) struct Placed {
 /// The nodes that the settings ask for. `places` are those of `--nodes points:FILE`, `level` names the level.
 pub(super) fn nodes_of(settings: &Settings, scene: &Scene, places: &[DVec3], level: &str) -> Result<Placed, Stop> {
     let grid = &settings.grid;
-    let by_grid = grid.bounds.is_some() || grid.spacing.is_some() || grid.counts.is_some() || grid.tolerance.is_some();
-    let without_box = |nodes| Placed { nodes, row: plan::bounds_given("nodes are no grid"), findings: Vec::new() };
+    let by_grid = [&grid.max_nodes, &grid.max_bytes].into_iter().any(Option::is_some)
+        || [&grid.spacing, &grid.tolerance, &grid.budget].into_iter().any(Option::is_some)
+        || grid.bounds.is_some()
+        || grid.counts.is_some();
+    let without_box =
+        |nodes| Placed { nodes, is_open: false, row: plan::bounds_given("nodes are no grid"), findings: Vec::new() };
     match &grid.nodes {
         NodeKind::Grid => grid_of(grid, scene, level),
         kind if by_grid => Err(Stop::Usage(format!(
-            "--bounds, --spacing, --counts and --tolerance belong to --nodes grid; here it is {kind}"
+            "--bounds, --spacing, --counts, --max-nodes, --max-bytes, --budget and --tolerance belong to --nodes grid; \
+             here it is {kind}"
         ))),
         NodeKind::Vertices => {
             let nodes = Nodes::vertices_of(scene);
@@ -57,6 +63,17 @@ fn grid_of(settings: &GridSettings, scene: &Scene, level: &str) -> Result<Placed
     let GridSettings { bounds, spacing, counts, tolerance, .. } = settings;
     if spacing.is_some() && counts.is_some() {
         return Err(Stop::Usage("spacing and counts contradict each other: give one of them".into()));
+    }
+    let is_bounded = settings.max_nodes.is_some() || settings.max_bytes.is_some() || settings.budget.is_some();
+    if is_bounded && (spacing.is_some() || counts.is_some()) {
+        return Err(Stop::Usage(
+            "--max-nodes, --max-bytes and --budget choose the spacing; leave out --spacing and --counts".into(),
+        ));
+    }
+    if tolerance.is_some() && (settings.max_bytes.is_some() || settings.budget.is_some()) {
+        return Err(Stop::Usage(
+            "--max-bytes and --budget choose the spacing of a dense grid; leave out --tolerance".into(),
+        ));
     }
     let marker = match &scene.volume_markers[..] {
         [] => None,
@@ -87,8 +104,9 @@ fn grid_of(settings: &GridSettings, scene: &Scene, level: &str) -> Result<Placed
     let grid = match (counts, spacing.or(marker.map(|marker| marker.spacing))) {
         (Some(counts), _) => grid_of_counts(min, max, *counts),
         (None, Some(spacing)) => grid_of_spacing(min, max, spacing),
-        (None, None) => grid_of_spacing(min, max, (max - min).max_element() / (DEFAULT_NODES - 1.0)),
+        (None, None) => grid_of_nodes(min, max, Limits::of(settings, None).nodes),
     };
+    let is_open = counts.is_none() && spacing.is_none() && marker.is_none() && tolerance.is_none();
     let grid = if tolerance.is_some() { grid_of_cells(grid) } else { grid };
     let [x, y, z] = grid.counts;
     let nodes = f64::from(x) * f64::from(y) * f64::from(z);
@@ -100,7 +118,7 @@ fn grid_of(settings: &GridSettings, scene: &Scene, level: &str) -> Result<Placed
         )));
     }
     let findings = air.map_or_else(Vec::new, |air| findings_of(&air, &grid));
-    Ok(Placed { nodes: Nodes::Grid(grid), row, findings })
+    Ok(Placed { nodes: Nodes::Grid(grid), is_open, row, findings })
 }
 
 /// What is wrong with the box of a level and the spacing of nodes in it.
@@ -111,7 +129,7 @@ fn findings_of(air: &Air, grid: &Grid) -> Vec<Finding> {
         let message = format!("a level of {}: are its units metres, as glTF means them?", length(size));
         Finding::new("units", 1, message)
     });
-    let spacing = (0..3).filter(|axis| grid.counts[*axis] > 1).map(|axis| grid.spacing()[axis]).fold(0.0, f64::max);
+    let spacing = widest_spacing(grid);
     let wide = if air.is_indoors { WIDE_INDOORS } else { WIDE_OUTDOORS };
     let spacing_wide = air.headroom.filter(|headroom| spacing > wide * headroom).map(|headroom| {
         let message = format!(

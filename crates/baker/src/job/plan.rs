@@ -8,7 +8,7 @@ use super::records::{PlanRow, SparseRecord};
 use super::settings::Settings;
 use super::text::Method;
 use crate::air::{Air, LeftOut};
-use crate::bake::{Baked, Nodes, Walls, levels_of, memory_needed};
+use crate::bake::{Baked, Nodes, Walls, levels_of, memory_needed, widest_spacing};
 use crate::exposure::ExposureMatch;
 use crate::pack::Precision;
 use crate::radiance::RadianceFunction;
@@ -67,16 +67,14 @@ pub fn bounds_given(why: &str) -> PlanRow {
 const BYTES_PACKED: f64 = 0.5;
 const BYTES_OF_FIGURES: f64 = 3.0;
 
-/// How many nodes, and what they will take.
-pub fn nodes(nodes: &Nodes, settings: &Settings) -> PlanRow {
+/// How many nodes, and what they will take. `is_at_most`: light may need fewer.
+pub fn nodes(nodes: &Nodes, is_at_most: bool, settings: &Settings) -> PlanRow {
     let bake = settings.bake();
     let what = match nodes {
         Nodes::Grid(grid) => {
             let [x, y, z] = grid.counts;
-            let axes = (0..3).filter(|axis| grid.counts[*axis] > 1);
-            let spacing = axes.map(|axis| grid.spacing()[axis]).fold(0.0, f64::max);
-            let most = if settings.grid.tolerance.is_some() { "at most " } else { "" };
-            format!("{most}{} nodes, a grid of {x} x {y} x {z}, {} apart", nodes.len(), length(spacing))
+            let most = if is_at_most { "at most " } else { "" };
+            format!("{most}{} nodes, a grid of {x} x {y} x {z}, {} apart", nodes.len(), length(widest_spacing(grid)))
         }
         _ => format!("{} nodes", nodes.len()),
     };
@@ -106,7 +104,7 @@ pub(super) fn length(metres: f64) -> String {
 }
 
 /// Three digits of a number.
-fn digits(number: f64) -> f64 {
+pub(super) fn digits(number: f64) -> f64 {
     format!("{number:.2e}").parse().unwrap_or(number)
 }
 

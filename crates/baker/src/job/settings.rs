@@ -167,10 +167,19 @@ settings! {
         /// Box of the grid, world metres: x0,y0,z0,x1,y1,z1 [default: that of the air that people can be in,
         /// without ground planes, sky domes and rock around it]
         "BOX" bounds: Option<[f64; 6]> = None;
-        /// Greatest distance between grid nodes, metres [default: 32 nodes along the longest axis]
+        /// Greatest distance between grid nodes, metres [default: the greatest with which --max-seen-error holds, or 5 %,
+        /// within --max-nodes, --max-bytes and --budget]
         "M" spacing: Option<f64> = None, |spacing| spacing.is_none_or(|m| m > 0.0 && m.is_finite()) => "metres above 0";
         /// Grid nodes per axis: X,Y,Z
         "X,Y,Z" counts: Option<[u32; 3]> = None;
+        /// The most nodes that a grid may have whose spacing is not given [default: 8192; with --budget what time allows]
+        "N" max_nodes: Option<u64> = None, |nodes| nodes.is_none_or(|n| n >= 1) => "1 or more";
+        /// The most bytes that the light of a grid may take whose spacing is not given [default: any]
+        "N" max_bytes: Option<u64> = None, |bytes| bytes.is_none_or(|n| n >= 1) => "1 or more";
+        /// Choose the spacing so that the bake ends within these seconds on this machine; the file records as --max-nodes
+        /// what that came to
+        "SECONDS" budget: Option<f64> = None,
+            |seconds| seconds.is_none_or(|s| s > 0.0 && s.is_finite()) => "seconds above 0";
         /// Leave grid nodes out where light between their neighbours is right to this share (0.01 is 1 %); spacing, or
         /// counts, then say how fine the grid may become, and counts grow until coarser cells fit in [default: all are
         /// baked]

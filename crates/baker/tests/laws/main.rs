@@ -19,6 +19,7 @@ mod regions;
 mod remembered;
 mod render;
 mod sight;
+mod spacing;
 mod sparse;
 mod statistics;
 mod sun;

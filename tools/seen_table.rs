@@ -5,7 +5,7 @@
 //! seen_table INPUTS [--levels NAME,…] [--sun include] [--samples N] [--truth N] [--places N] [--as NAME SETTING=VALUE,…]…
 //! ```
 //! INPUTS is the folder of the levels. Each is baked without probes, its sun extracted unless told otherwise, with N directions per
-//! node (default 4096), by default settings, over the box of all triangles in f16 (as it was by default once), and as asked: `--as fine
+//! node (default 4096), by default settings, over the box of all triangles in f16 by 32 nodes along its longest side (as it was by default once), and as asked: `--as fine
 //! grid.spacing=0.2`. Places (default 500 in the air, and as many on surfaces) are in the box of the default bake and have a seed of
 //! their own; truth has 65,536 directions each by default, and the square of its noise is subtracted. *Valid* is what engines show that weigh the valid nodes around and know no walls.
 //! Errors are relative to the larger of E and a tenth of its median; RMSE is over root mean square of E.
@@ -84,7 +84,8 @@ fn main() {
         let level = Inputs { distant, ..Inputs::new(scene) };
         let mut sets = None;
         let all = [min.to_array(), max.to_array()].concat().iter().map(f64::to_string).collect::<Vec<_>>().join(";");
-        let former = format!("quality.precision=f16,quality.seen_places=0,grid.bounds={all}");
+        let spacing = (max - min).max_element() / 31.0;
+        let former = format!("quality.precision=f16,quality.seen_places=0,grid.bounds={all},grid.spacing={spacing}");
         let ways = [("default", ""), ("all triangles, f16", &former[..])].into_iter();
         for (way, texts) in ways.chain(asked.iter().map(|(way, texts)| (&way[..], &texts[..]))) {
             let mut settings = Settings::default();

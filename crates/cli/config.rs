@@ -227,9 +227,14 @@ impl Config {
 /// Flags win over what is set.
 fn apply(given: &[Given], settings: &mut Settings) -> Result<(), Fault> {
     let is_given = |section, name| given.iter().any(|given| (given.section, given.name) == (section, name));
-    // A spacing by flag replaces counts of the file, and the other way round.
+    // What says how fine a grid is replaces, as a flag, what the file says of that.
+    let grid = &mut settings.grid;
     if is_given("grid", "spacing") || is_given("grid", "counts") {
-        (settings.grid.spacing, settings.grid.counts) = (None, None);
+        (grid.spacing, grid.counts) = (None, None);
+        (grid.max_nodes, grid.max_bytes, grid.budget) = (None, None, None);
+    }
+    if ["max_nodes", "max_bytes", "budget"].into_iter().any(|name| is_given("grid", name)) {
+        (grid.spacing, grid.counts) = (None, None);
     }
     if is_given("capture", "positions") || is_given("capture", "auto") {
         (settings.capture.positions, settings.capture.auto) = (Vec::new(), false);

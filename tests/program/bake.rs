@@ -334,6 +334,10 @@ fn plan_is_printed_and_nothing_is_written() {
     let one_node = ["--counts", "1,1,1"];
     let rows = folder.ok(&[&["bake"], &PROBES[..], &one_node, &["--plan", "--json"]].concat());
     let report: Value = serde_json::from_str(&rows).unwrap();
+    assert!(
+        report["likely_seconds"].as_f64().unwrap() > 0.0 && text.lines().last().unwrap().starts_with("time"),
+        "{text}"
+    );
     let rows = &report["plan"];
     let kept = |stage: &str| {
         let row = rows.as_array().unwrap().iter().find(|row| row["stage"] == stage);

@@ -58,6 +58,8 @@ struct Report {
 #[derive(Serialize)]
 struct PlanReport {
     plan: Vec<PlanRow>,
+    /// Of the bake on this machine; `None`: probes are still to be captured.
+    likely_seconds: Option<f64>,
 }
 
 pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
@@ -69,10 +71,9 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let inputs = read_inputs(&config, config.textures())?;
     let mut job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
     if arguments.plan {
-        let mut plan = job.plan();
-        plan.push(time_row(&job, &stages, session)?);
-        let text = plan_text(&plan);
-        return Ok(Outcome::new(PlanReport { plan }, text));
+        let (plan, likely_seconds) = (job.plan(), likely_seconds(&job, &stages, session)?);
+        let text = plan_text(&plan, likely_seconds);
+        return Ok(Outcome::new(PlanReport { plan, likely_seconds }, text));
     }
     session.find(&job.inputs.findings);
     job.inputs.check_light(job.method())?;
@@ -140,15 +141,14 @@ fn write(
     Ok(Outcome::new(report, text))
 }
 
-/// How long the bake is likely to take: a few nodes are baked.
-fn time_row(job: &Job, stages: &Stages, session: &Session) -> Result<PlanRow, Fault> {
+/// How long the bake is likely to take: a few nodes are baked. `None`: it depends on probes that are still to be captured.
+fn likely_seconds(job: &Job, stages: &Stages, session: &Session) -> Result<Option<f64>, Fault> {
     if job.wants_capture() {
-        return Ok(PlanRow::new("time", false, "it depends on probes that are still to be captured"));
+        return Ok(None);
     }
     let seconds = || stages.total().0;
     let watch = Watch { seconds: &seconds, ..Watch::silent(&session.cancel) };
-    let likely = job.likely_seconds(&watch).map_err(|_| Fault::Interrupted)?;
-    Ok(PlanRow::new("time", true, format!("about {likely:.1} s on this machine, as a few nodes took")))
+    Ok(Some(job.likely_seconds(&watch).map_err(|_| Fault::Interrupted)?))
 }
 
 /// Runs the job with a progress bar.
@@ -217,10 +217,14 @@ fn missed_text(made: &Made, config: &Config) -> Option<String> {
     ))
 }
 
-fn plan_text(plan: &[PlanRow]) -> String {
+fn plan_text(plan: &[PlanRow], likely_seconds: Option<f64>) -> String {
     let line =
         |row: &PlanRow| format!("{:<16} {:<9} {}", row.stage, if row.kept { "kept" } else { "left out" }, row.why);
-    plan.iter().map(line).collect::<Vec<_>>().join("\n")
+    let time = likely_seconds.map_or_else(
+        || "is not known before probes are captured".into(),
+        |seconds| format!("about {seconds:.1} s on this machine, as a few nodes took"),
+    );
+    plan.iter().map(line).chain([format!("{:<16} {time}", "time")]).collect::<Vec<_>>().join("\n")
 }
 
 /// Where the nodes are, in words.

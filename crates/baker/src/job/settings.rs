@@ -178,7 +178,7 @@ settings! {
         "N" max_bytes: Option<u64> = None, |bytes| bytes.is_none_or(|n| n >= 1) => "1 or more";
         /// Choose the spacing so that the bake ends within these seconds on this machine; the file records as --max-nodes
         /// what that came to
-        "SECONDS" budget: Option<f64> = None,
+        "SECONDS" (unrecorded) budget: Option<f64> = None,
             |seconds| seconds.is_none_or(|s| s > 0.0 && s.is_finite()) => "seconds above 0";
         /// Leave grid nodes out where light between their neighbours is right to this share (0.01 is 1 %); spacing, or
         /// counts, then say how fine the grid may become, and counts grow until coarser cells fit in [default: all are

@@ -111,7 +111,7 @@ fn a_budget_is_kept_and_what_it_came_to_is_recorded() {
         assert!((0.5 * budget..=1.1 * budget).contains(&seconds), "{seconds} of {budget}: {:?}", counts(&made));
         let recorded = made.records.settings.as_ref().expect("a job fills it in");
         let value = |name: &str| recorded.settings.iter().find(|setting| setting.name == name);
-        assert_eq!(value("grid.budget").and_then(|setting| setting.value.as_ref()), None);
+        assert!(value("grid.budget").is_none(), "it depends on the machine");
         // The same nodes again, without a clock.
         settings.grid.budget = None;
         let most = value("grid.max_nodes").and_then(|setting| setting.value.clone()).expect("it is recorded");

@@ -54,6 +54,9 @@ fn every_method_and_budget_is_in_every_file() {
                 point["cpu_seconds"]["middle"].as_f64().unwrap() > 0.0 && point["estimated"].is_number(),
                 "{point}"
             );
+            // Between the nodes errors are larger than at them, and a file has some bytes for each node.
+            let [median, p95] = ["median", "p95"].map(|of| point["seen"][of].as_f64().unwrap());
+            assert!(0.0 < median && median <= p95 && point["bytes"].as_u64().unwrap() > 8 * 9, "{point}");
         }
     }
     // The reference shares no random numbers with the rest.
@@ -67,9 +70,17 @@ fn every_method_and_budget_is_in_every_file() {
     assert_eq!(rows[1][..2], ["gdibl", "16"]);
 
     let [page, figure] = ["out.html", "out.svg"].map(|name| String::from_utf8(folder.read(name)).unwrap());
-    for words in METHODS {
-        assert!(page.contains(words) && figure.contains(words) && text.contains(words), "{words}");
+    for (name, method) in METHODS.iter().zip(report["study"]["methods"].as_array().unwrap()) {
+        assert!(page.contains(name) && text.contains(name), "{name}");
+        // Those that take too long are named, not drawn.
+        let is_drawn = figure.contains(&format!(">{name}<"));
+        assert_eq!(is_drawn, !method["is_far"].as_bool().unwrap(), "{name}");
+        let is_wrong = method["claim"].as_f64().is_some_and(|claim| !(1.0 / 1.5..=1.5).contains(&claim));
+        let claim = format!("{:.2}", method["claim"].as_f64().unwrap());
+        assert_eq!(page.contains(&format!("<span class=\"wrong\">{claim}</span>")), is_wrong, "{name}");
     }
+    let advice = text.lines().find(|line| line.contains("advice: ")).expect("advice").trim();
+    assert!(page.contains(&advice.replace('<', "&lt;")), "{advice}");
     for words in ["<svg", "</svg>", "slope", "bias floor", "break-even", "gdibl footprint:4", "2 repeats"] {
         assert!(page.contains(words), "{words}");
     }
@@ -77,6 +88,20 @@ fn every_method_and_budget_is_in_every_file() {
         assert!(!page.contains(resource), "'{resource}' in the page");
     }
     assert!(text.contains("left out: gdibl footprint:4"), "{text}");
+}
+
+#[test]
+fn the_advice_is_flags_that_bake_takes() {
+    let folder = Folder::new();
+    let text = study(&folder, &["--reference-samples", "1024", "--methods", "path,gdibl", "--at", "0.5"]);
+    let advice = text.lines().find(|line| line.contains("advice: ")).expect("advice");
+    let flags = advice.split("use ").nth(1).expect("a method comes to 50 %").split(": 50 % of error at 8 nodes").next();
+    let bake = repository("assets/uffizi-box/uffizi-box.bake.toml").display().to_string();
+    let flags: Vec<&str> = flags.unwrap().split(' ').collect();
+    folder.ok(&[&["bake", &bake, "-o", "advised.gdibl", "--counts", "2,2,2"], &flags[..]].concat());
+    // Asked for by name, all are drawn.
+    let figure = String::from_utf8(folder.read("out.svg")).unwrap();
+    assert!(figure.contains(">path<") && figure.contains(">gdibl<"));
 }
 
 #[test]

@@ -5,10 +5,10 @@ use std::sync::atomic::Ordering;
 
 use gdibl_baker::Finding;
 use gdibl_baker::analyse::Truth;
-use gdibl_baker::analyse::study::{Study, StudySettings};
+use gdibl_baker::analyse::study::{Method, Study, StudySettings};
 use gdibl_baker::bake::{BakeSettings, Nodes, SparseGrid};
 use gdibl_baker::import::gltf::TextureNeeds;
-use gdibl_baker::job::{Bands, Inputs, Job, Method, NodeKind, Settings};
+use gdibl_baker::job::{self, Bands, Inputs, Job, NodeKind, Settings};
 use gdibl_baker::pack::write_whole;
 use glam::DVec3;
 use serde::Serialize;
@@ -92,7 +92,7 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let given = arguments.reference.as_deref().map(|path| read_reference(path, &arguments.sets)).transpose()?;
     let (mut job, places) = prepare(&arguments, &config, inputs, given.as_ref())?;
     session.find(&job.inputs.findings);
-    job.inputs.check_light(Method::Gdibl)?;
+    job.inputs.check_light(job::Method::Gdibl)?;
     super::check_output(&with_ending(&stem, "html"))?;
     if !arguments.no_capture && job.inputs.lacks_probes() {
         let read = job.inputs.findings.len();
@@ -106,7 +106,7 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         )));
     }
 
-    let runner = Runner { job: &job, cancel: &session.cancel };
+    let mut runner = Runner { job: &job, cancel: &session.cancel, between: None };
     let work = plan_work(&arguments, &runner, asked, given.as_ref())?;
     say(&format!("{places}; {}", work.text(&arguments)));
     let progress = Progress::new("directions", work.directions, *quiet);
@@ -116,6 +116,9 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         Some(given) => (given.truths, given.report),
         None => make_reference(&runner, work.reference_samples, &progress)?,
     };
+    if job.inputs.has_light() {
+        runner.look_between(work.between_samples)?;
+    }
     let repeats = arguments.repeats as usize;
     let ladder = Ladder { budgets, repeats, seeds: &work.seeds, progress: &progress };
     let measured = runner.measure_all(&work.methods, &work.circumstances, &ladder, &truths)?;
@@ -128,6 +131,8 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         level: file_name(&config.level),
         places,
         light: light_text(&job.inputs),
+        captured: job.inputs.captured,
+        all_drawn: !arguments.methods.is_empty(),
         sh: format!("L{}", job.settings.bake().bands),
         budgets: budgets.clone(),
         repeats,
@@ -190,6 +195,8 @@ struct Work {
     seeds: Vec<u64>,
     /// 0: the reference is given.
     reference_samples: u64,
+    /// Of a place between nodes.
+    between_samples: u64,
     /// That leave nodes, in all.
     directions: u64,
 }
@@ -207,10 +214,8 @@ fn plan_work(
         return Err(Fault::Usage(format!("--methods: none is left: {}", reasons.join("; "))));
     }
     let Arguments { budgets, reference_samples, .. } = arguments;
-    let reference_samples = match given {
-        Some(_) => 0,
-        None => reference_samples.unwrap_or(16 * budgets[budgets.len() - 1]).min(BakeSettings::MAX_SAMPLES),
-    };
+    let usual = reference_samples.unwrap_or(16 * budgets[budgets.len() - 1]).min(BakeSettings::MAX_SAMPLES);
+    let reference_samples = if given.is_some() { 0 } else { usual };
     // Nobody shares random numbers with the reference.
     let own = runner.job.settings.quality.seed;
     let taken = given.map_or(Some(own), |given| given.seed);
@@ -223,6 +228,7 @@ fn plan_work(
         circumstances,
         seeds: seeds.take(repeats * budgets.len()).collect(),
         reference_samples,
+        between_samples: usual,
         directions: per_node.saturating_mul(runner.job.nodes().len() as u64),
     })
 }
@@ -357,7 +363,9 @@ struct Filed<'a> {
 }
 
 fn write_files(report: &Report, findings: &[Finding], stem: &Path) -> Result<Vec<PathBuf>, Fault> {
-    let figure = plot::figure(&report.study);
+    let is_drawn = |method: &Method| report.all_drawn || !method.is_far;
+    let methods = report.study.methods.iter().filter(|method| is_drawn(method)).cloned().collect();
+    let figure = plot::figure(&Study { methods, ..report.study.clone() });
     let json = serde_json::to_string_pretty(&Filed { report, findings }).expect("reports are plain data") + "\n";
     let texts = [page::html(report, &figure, findings), page::csv(&report.study), json, figure];
     let mut written = Vec::new();

@@ -1,11 +1,14 @@
 //! What a study writes for people and for tables: one HTML page without anything outside of it, and a CSV.
 
 use gdibl_baker::Finding;
-use gdibl_baker::analyse::study::{CostAt, Method, PATH, Spread, Study};
+use gdibl_baker::analyse::study::{CostAt, Method, PATH, Seen, Spread, Study};
 use std::fmt::Write;
 
 use super::report::Report;
-use super::words::{cost_text, floor_range, number, percent, reference_noise_text, round_percent, times_text, verdict};
+use super::words::{
+    WRONG, cost_text, floor_range, grouped, never, number, percent, reference_noise_text, round_percent, times_text,
+    verdict,
+};
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,'DejaVu Sans',sans-serif;color:#1b1f24;background:#fff;max-width:1180px;\
 margin:2rem auto;padding:0 1rem}h1{font-size:1.6rem;margin-bottom:.2rem}h2{font-size:1.2rem;margin-top:2rem}\
@@ -14,7 +17,7 @@ th,td{text-align:right;padding:.22rem .6rem;border-bottom:1px solid #e5e8eb;font
 th{border-bottom:2px solid #8a939c;vertical-align:bottom}th:first-child,td:first-child,td.words{text-align:left}\
 tr.first td{border-top:1px solid #8a939c}.verdict{background:#f3f6f9;padding:.8rem 1rem;border-radius:6px}\
 .verdict p{margin:.2rem 0}.verdict p.inner{margin-left:1.2rem}svg{width:100%;max-width:1000px;height:auto}dt{font-weight:600}dd{margin:0 0 .4rem 0}\
-.wide{overflow-x:auto}td{white-space:nowrap}td.words{white-space:normal;min-width:14rem}";
+.wrong{color:#b3261e;font-weight:600}.advice{font-size:1.1rem;font-weight:600}.wide{overflow-x:auto}td{white-space:nowrap}td.words{white-space:normal;min-width:14rem}";
 
 /// Text as HTML and SVG take it.
 pub fn escape(text: &str) -> String {
@@ -55,6 +58,8 @@ pub fn html(report: &Report, figure: &str, findings: &[Finding]) -> String {
 fn verdict_html(report: &Report) -> String {
     let line = |line: &String| match line.strip_prefix("  ") {
         Some(inner) => format!("<p class=\"inner\">{}</p>", escape(inner)),
+        None if line.starts_with("advice: ") => format!("<p class=\"advice\">{}</p>", escape(line)),
+        None if line.starts_with(WRONG) => format!("<p class=\"wrong\">{}</p>", escape(line)),
         None => format!("<p>{}</p>", escape(line)),
     };
     let lines: Vec<String> = verdict(report).iter().map(line).collect();
@@ -62,7 +67,7 @@ fn verdict_html(report: &Report) -> String {
 }
 
 /// What a person must know who sees such a picture for the first time.
-const HOW_TO_READ: [(&str, &str); 8] = [
+const HOW_TO_READ: [(&str, &str); 9] = [
     (
         "Axes",
         "to the right: processor time for one node, all threads added up; upwards: how wrong its irradiance is, \
@@ -99,6 +104,11 @@ const HOW_TO_READ: [(&str, &str); 8] = [
          themselves expect, without knowing of each other. Where both lie together, they are honest.",
     ),
     (
+        "Between nodes",
+        "how wrong the light is where an engine draws: at places between the nodes, in the air and on surfaces, read \
+         from the packed file as the runtime does, relative to the light there; the larger of air and surfaces.",
+    ),
+    (
         "Known by luck",
         "where rare, very bright directions decide (a sun, met without importance), noise jumps up and down, and \
          a few repeats tell neither it nor a bias.",
@@ -122,13 +132,16 @@ fn methods_table(study: &Study) -> String {
     let target = round_percent(study.target);
     let row = |method: &Method| {
         let at = |cost: Option<CostAt>, never: &str| cost.map_or(never.to_string(), cost_text);
+        let claim = method.claim.map_or("not known".into(), |claim| format!("{claim:.2}"));
         let cells = [
-            at(method.at_noise, "not known"),
+            at(method.at_noise, never(method)),
             method
                 .times_less
                 .filter(|_| method.name != PATH)
                 .map_or(String::new(), |times| times_text(times).replace(" than", "")),
-            at(method.at_error, if method.floor.low >= study.target { "never" } else { "not known" }),
+            at(method.at_error, if method.floor.low >= study.target { "never" } else { never(method) }),
+            method.total_seconds.map_or(String::new(), |seconds| format!("{} s", number(seconds))),
+            if method.claims_wrongly() { format!("<span class=\"wrong\">{claim}</span>") } else { claim },
             floor_range(&method.floor),
             method.slope.map_or(String::new(), |slope| format!("{slope:.2}").replace('-', "−")),
         ];
@@ -143,7 +156,8 @@ fn methods_table(study: &Study) -> String {
     let rows: Vec<String> = study.methods.iter().map(row).collect();
     format!(
         "<div class=\"wide\"><table><tr><th>method</th><th>CPU per node at {target} noise</th><th>beside path</th><th>at \
-         {target} true error</th><th>bias floor</th><th>slope of noise</th><th></th></tr>\n{}</table></div>",
+         {target} true error</th><th>all {} nodes, with set-up</th><th>stated over shown noise</th><th>bias floor</th><th>slope of noise</th><th></th></tr>\n{}</table></div>",
+        study.nodes,
         rows.join("\n")
     )
 }
@@ -167,6 +181,8 @@ fn points_table(study: &Study) -> String {
                 range(point.error),
                 range(point.noise),
                 point.estimated.map_or("unknown".into(), percent),
+                point.seen.map_or(String::new(), |seen| format!("{}, {}", percent(seen.median), percent(seen.p95))),
+                grouped(point.bytes),
                 number(point.efficiency),
             ];
             let first = if i == 0 { " class=\"first\"" } else { "" };
@@ -178,7 +194,7 @@ fn points_table(study: &Study) -> String {
     format!(
         "<div class=\"wide\"><table><tr><th>method</th><th>directions per node</th><th>CPU ms per node</th><th>CPU s (least to \
          most)</th><th>wall s</th><th>set-up, CPU s</th><th>rays per direction</th><th>error (least to most)</th><th>noise \
-         (least to most)</th><th>estimated</th><th>1/(error² · CPU s per node)</th></tr>\n{rows}</table></div>"
+         (least to most)</th><th>stated</th><th>between nodes: median, 95 %</th><th>bytes</th><th>1/(error² · CPU s per node)</th></tr>\n{rows}</table></div>"
     )
 }
 
@@ -224,7 +240,7 @@ pub fn csv(study: &Study) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let head = "method,directions_per_node,cpu_ms_per_node,cpu_seconds,cpu_seconds_least,cpu_seconds_most,wall_seconds,\
                 wall_seconds_least,wall_seconds_most,setup_cpu_seconds,rays,samples,error,error_least,error_most,noise,\
-                noise_least,noise_most,estimated,bias_square,efficiency,noise_efficiency";
+                noise_least,noise_most,estimated,between_median,between_p95,bytes,bias_square,efficiency,noise_efficiency";
     writer.write_record(head.split(',')).expect("memory takes all");
     for method in &study.methods {
         for point in &method.points {
@@ -237,6 +253,9 @@ pub fn csv(study: &Study) -> String {
             row.extend(spread(point.error));
             row.extend(spread(point.noise));
             row.push(point.estimated.map_or(String::new(), |e| e.to_string()));
+            let seen = |of: fn(Seen) -> f64| point.seen.map_or(String::new(), |seen| of(seen).to_string());
+            row.extend([seen(|seen| seen.median), seen(|seen| seen.p95)]);
+            row.push(point.bytes.to_string());
             row.extend([point.bias_square, point.efficiency, point.noise_efficiency].map(|v| v.to_string()));
             writer.write_record(&row).expect("memory takes all");
         }

@@ -14,6 +14,11 @@ pub struct Report {
     pub places: String,
     /// For a person.
     pub light: String,
+    /// Its probes were captured from the level.
+    pub captured: bool,
+    /// Methods were asked for by name, so each of them is drawn.
+    #[serde(skip)]
+    pub all_drawn: bool,
     pub sh: String,
     pub budgets: Vec<u64>,
     pub repeats: usize,

@@ -5,12 +5,14 @@ use std::sync::atomic::AtomicBool;
 
 use gdibl_baker::Control;
 use gdibl_baker::analyse::Truth;
-use gdibl_baker::analyse::study::{Capture, Cost, Measured, Repeat, measure};
+use gdibl_baker::analyse::study::{Capture, Cost, Measured, Repeat, Seen, measure};
 use gdibl_baker::capture::{CaptureSettings, capture};
-use gdibl_baker::job::{self, Inputs, Job, Settings, Stage, Watch, check_valid};
+use gdibl_baker::job::records::SeenRecord;
+use gdibl_baker::job::{self, Inputs, Job, Settings, Stage, Watch, as_read, check_valid};
 use gdibl_baker::pack::volume_of;
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::sampling::Sampler;
+use gdibl_baker::seen::HeldOut;
 
 use super::methods::{Circumstances, Method};
 use crate::captures;
@@ -21,10 +23,15 @@ use crate::progress::{Clock, Progress};
 const MEASURED_WIDTH: usize = 128;
 const MEASURED_SAMPLES: u32 = 8;
 
+/// Tells the random numbers of places between nodes from those of bakes.
+const BETWEEN_SEED: u64 = 0xbe7_0000_0000;
+
 /// What the bakes of a study share.
 pub struct Runner<'a> {
     pub job: &'a Job,
     pub cancel: &'a AtomicBool,
+    /// Light between nodes, once it is known.
+    pub between: Option<HeldOut>,
 }
 
 /// How often, with what, and from which seeds.
@@ -53,6 +60,17 @@ impl Runner<'_> {
     pub fn reference(&self, samples: u64, seed: u64, progress: &Progress) -> Result<(Truth, Cost), Fault> {
         let repeat = self.repeat(Method::Path, samples, seed, progress)?;
         Ok((Truth::of_volume(&repeat.volume), repeat.cost))
+    }
+
+    /// Finds out what light is between the nodes, by the path tracer; nothing where no volume is read there.
+    pub fn look_between(&mut self, samples: u64) -> Result<(), Fault> {
+        let mut settings = self.job.settings.clone();
+        settings.quality.method = job::Method::Path;
+        // No bake shares its random numbers.
+        settings.quality.seed ^= BETWEEN_SEED;
+        let watch = Watch::silent(self.cancel);
+        self.between = self.job.hold_out(&settings, samples, &watch).map_err(|_| Fault::Interrupted)?;
+        Ok(())
     }
 
     /// Every method with every budget. Methods take turns, so that a machine that slows down does so for all.
@@ -114,7 +132,10 @@ impl Runner<'_> {
             samples: baked.samples,
         };
         check_valid(&baked).map_err(Fault::Bound)?;
-        Ok(Repeat { volume: volume_of(self.job.nodes(), &baked), cost })
+        let nodes = self.job.nodes();
+        let (file, bytes) = as_read(nodes, &baked, &settings);
+        let seen = self.between.as_ref().and_then(|between| seen_of(&between.errors(nodes, &baked, &file)));
+        Ok(Repeat { volume: volume_of(nodes, &baked), cost, seen, bytes })
     }
 
     /// What `gdibl capture` would take for these probes, from a small sample of it. `None` where there is no probe, or
@@ -163,4 +184,11 @@ impl Runner<'_> {
         );
         Ok(Some(Capture { cpu_seconds, wall_seconds, about }))
     }
+}
+
+/// The larger of the errors in the air and on surfaces.
+fn seen_of(record: &SeenRecord) -> Option<Seen> {
+    let sets = [record.air, record.surfaces].into_iter().flatten();
+    let of = |set: job::records::SeenSet| Seen { median: set.error.median, p95: set.error.p95 };
+    sets.map(of).reduce(|a, b| Seen { median: a.median.max(b.median), p95: a.p95.max(b.p95) })
 }

@@ -180,7 +180,7 @@ impl Job {
         findings.extend(findings_of(&baked, quality.clamp.unwrap_or(f32::INFINITY)));
         let stage = |(stage, rays): (Stage, u64)| StageRecord { stage: stage.name().into(), rays, seconds: None };
         let stages = stages.into_iter().map(stage).collect();
-        let seen = held_out.map(|held_out| held_out.errors(&nodes, &baked, &as_read(&nodes, &baked, &self.settings)));
+        let seen = held_out.map(|held_out| held_out.errors(&nodes, &baked, &as_read(&nodes, &baked, &self.settings).0));
         let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
         findings.extend(seen.and_then(|seen| blurred_sun(&seen, distant.filter(|_| self.sun.is_none()))));
         let statistics =
@@ -204,6 +204,15 @@ impl Job {
     pub fn sample(&self, settings: &Settings, importance: bool, watch: &Watch) -> Result<Sampled, Interrupted> {
         (watch.stage)(Stage::Prepare);
         self.with_function(settings, Sample { job: self, settings, importance, searches: false, watch })
+    }
+
+    /// Light at places between the nodes, by the method of `settings` and so many directions each. `None`: between the nodes
+    /// nothing is read, or no light reaches any place.
+    ///
+    /// # Errors
+    /// The caller cancelled.
+    pub fn hold_out(&self, settings: &Settings, samples: u64, watch: &Watch) -> Result<Option<HeldOut>, Interrupted> {
+        self.with_function(settings, HoldOut { job: self, nodes: &self.nodes, settings, samples, watch })
     }
 
     /// Coarser grids are tried first.
@@ -374,17 +383,15 @@ impl Sample<'_, '_> {
         let (grid, baked, stage) = loop {
             match search.next() {
                 Next::Try(grid) => {
-                    let nodes = Nodes::Grid(grid.clone());
+                    let nodes = Nodes::Grid(grid);
                     let baked = bake::bake(&nodes, function, &bake_settings, &silent)?;
                     if bakes.is_empty() {
                         held_out = self.hold_out(&job.nodes, &baked, function)?;
                     }
-                    let packing = PackSettings { zstd: false, ..settings.pack() };
-                    let bytes = pack(&nodes, &baked, Records::default(), packing).bytes;
-                    let volume = Volume::parse(&bytes).expect("what was packed parses");
+                    let (volume, bytes) = as_read(&nodes, &baked, settings);
                     let seen = held_out.as_ref().map(|held_out| held_out.errors(&nodes, &baked, &volume));
                     let error = seen.as_ref().map_or(f64::INFINITY, spacing::error_of);
-                    search.tell(Tried { grid: grid.clone(), error, bytes: bytes.len() as u64 });
+                    search.tell(Tried { grid, error, bytes });
                     bakes.push((grid, baked));
                 }
                 Next::Take(number) => {
@@ -394,7 +401,7 @@ impl Sample<'_, '_> {
                 Next::Last(grid) => {
                     (watch.stage)(Stage::Nodes);
                     let control = Control { cancel: watch.cancel, progress: watch.progress };
-                    let baked = bake::bake(&Nodes::Grid(grid.clone()), function, &bake_settings, &control)?;
+                    let baked = bake::bake(&Nodes::Grid(grid), function, &bake_settings, &control)?;
                     break (grid, baked, Stage::Nodes);
                 }
             }
@@ -417,16 +424,39 @@ impl Sample<'_, '_> {
         baked: &Baked,
         function: &impl RadianceFunction,
     ) -> Result<Option<HeldOut>, Interrupted> {
-        let usual = || seen::usual_count(nodes.len());
-        let count = self.settings.quality.seen_places.map_or_else(usual, |count| count as usize);
         let valid = baked.valid_nodes().count() as u64;
         if valid == 0 {
             return Ok(None);
         }
         let samples = baked.samples.div_ceil(valid);
-        let watch = self.watch;
+        HoldOut { job: self.job, nodes, settings: self.settings, samples, watch: self.watch }.by(function)
+    }
+}
+
+/// Samples light between nodes.
+struct HoldOut<'a, 'b> {
+    job: &'a Job,
+    nodes: &'a Nodes,
+    settings: &'a Settings,
+    samples: u64,
+    watch: &'a Watch<'b>,
+}
+
+impl Work for HoldOut<'_, '_> {
+    type Output = Result<Option<HeldOut>, Interrupted>;
+
+    fn run(self, function: &impl RadianceFunction, _: Decided) -> Self::Output {
+        self.by(function)
+    }
+}
+
+impl HoldOut<'_, '_> {
+    fn by(&self, function: &impl RadianceFunction) -> Result<Option<HeldOut>, Interrupted> {
+        let HoldOut { job, nodes, settings, samples, watch } = self;
+        let usual = || seen::usual_count(nodes.len());
+        let count = settings.quality.seen_places.map_or_else(usual, |count| count as usize);
         let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
-        seen::hold_out(nodes, &self.job.inputs.scene, count, samples, function, &self.bake_settings(), &control)
+        seen::hold_out(nodes, &job.inputs.scene, count, *samples, function, &settings.bake(), &control)
     }
 }
 
@@ -437,10 +467,11 @@ impl Made {
     }
 }
 
-/// The volume as an engine reads it from the file.
-fn as_read(nodes: &Nodes, baked: &Baked, settings: &Settings) -> Volume {
+/// The volume as an engine reads it from the file, and the bytes of its light there.
+pub fn as_read(nodes: &Nodes, baked: &Baked, settings: &Settings) -> (Volume, u64) {
     let packing = PackSettings { zstd: false, ..settings.pack() };
-    Volume::parse(&pack(nodes, baked, Records::default(), packing).bytes).expect("what was packed parses")
+    let bytes = pack(nodes, baked, Records::default(), packing).bytes;
+    (Volume::parse(&bytes).expect("what was packed parses"), bytes.len() as u64)
 }
 
 /// What a job may take.

@@ -10,6 +10,8 @@ const LEAST_FALL: f64 = 0.1;
 const END: usize = 3;
 /// Noise that grows by more than this with more directions does not do so by chance.
 const JUMP: f64 = 1.5;
+/// Nothing is said of bakes that take more than this many times the longest that was measured.
+const FARTHEST: f64 = 1000.0;
 /// Variance of bias² under this is that of rounding.
 const LEAST_VARIANCE: f64 = 1e-24;
 
@@ -31,6 +33,8 @@ pub struct CostAt {
     pub milliseconds_per_node: f64,
     /// The error lies outside those measured.
     pub extrapolated: bool,
+    /// Directions per node.
+    pub directions: f64,
 }
 
 /// Slope of log noise over log directions, by least squares.
@@ -106,18 +110,20 @@ fn independent_of(points: &[Point], fixed: f64) -> Option<f64> {
 
 /// What the noise `target` costs: between the two points around it on a straight line of logarithms; past the last by the
 /// slope of the last three, before the first by that of the first three, cost growing with directions. Of several crossings
-/// the last: with more, noise stays under.
+/// the last: with more, noise stays under. `None`: it never comes there, or not within [`FARTHEST`] times the longest bake.
 pub(super) fn cost_at(points: &[Point], target: f64) -> Option<CostAt> {
     let cost = |point: &Point| point.milliseconds_per_node.middle;
     let outside = |point: &Point, end: &[Point]| {
         let fall = -slope_of(end).filter(|slope| -slope >= LEAST_FALL)?;
         let times = (point.noise.middle / target).powf(1.0 / fall);
-        Some(CostAt { milliseconds_per_node: cost(point) * times, extrapolated: true })
+        let directions = point.budget as f64 * times;
+        Some(CostAt { milliseconds_per_node: cost(point) * times, extrapolated: true, directions })
+            .filter(|_| times <= FARTHEST)
     };
     let Some(over) = points.iter().rposition(|point| point.noise.middle > target) else {
         // Less than the least that was tried; how much less, only a slope tells.
         let first = points.first()?;
-        let tried = CostAt { milliseconds_per_node: cost(first), extrapolated: true };
+        let tried = CostAt { milliseconds_per_node: cost(first), extrapolated: true, directions: first.budget as f64 };
         let end = &points[..points.len().min(END)];
         return Some(outside(first, end).filter(|at| at.milliseconds_per_node > 0.0).unwrap_or(tried));
     };
@@ -128,6 +134,10 @@ pub(super) fn cost_at(points: &[Point], target: f64) -> Option<CostAt> {
     let [from, to] = [a, b].map(|point| point.noise.middle.ln());
     // Down to no noise at all: no line of logarithms.
     let share = if to.is_finite() { (from - target.ln()) / (from - to) } else { 1.0 };
-    let logs = [a, b].map(|point| cost(point).ln());
-    Some(CostAt { milliseconds_per_node: (logs[0] + share * (logs[1] - logs[0])).exp(), extrapolated: false })
+    let between = |of: &dyn Fn(&Point) -> f64| {
+        let logs = [a, b].map(|point| of(point).ln());
+        (logs[0] + share * (logs[1] - logs[0])).exp()
+    };
+    let directions = between(&|point| point.budget as f64);
+    Some(CostAt { milliseconds_per_node: between(&cost), extrapolated: false, directions })
 }

@@ -2,7 +2,7 @@
 
 use gdibl_runtime::sh;
 
-use super::{Cost, Ground, Point, Repeat, Spread};
+use super::{Cost, Ground, Point, Repeat, Seen, Spread};
 use crate::analyse::compare::{Met, NothingCompared, meet};
 use crate::analyse::error::{ErrorDirections, independent_numbers};
 use crate::analyse::truth::Truth;
@@ -40,6 +40,8 @@ pub fn measure(budget: u64, nodes: usize, truths: &[Truth], repeats: &[Repeat]) 
         error,
         noise,
         estimated: tally.variance.map(|v| (share(v) / count).sqrt()),
+        seen: seen_of(repeats),
+        bytes: repeats.iter().map(|repeat| repeat.bytes).sum::<u64>() / repeats.len() as u64,
         bias_square,
         efficiency: 1.0 / (error.middle.powi(2) * per_node(cpu_seconds.middle)),
         noise_efficiency: 1.0 / (noise.middle.powi(2) * per_node(cpu_seconds.middle)),
@@ -51,6 +53,13 @@ pub fn measure(budget: u64, nodes: usize, truths: &[Truth], repeats: &[Repeat]) 
             reference_noise,
         },
     })
+}
+
+/// Mean over repeats, if all have it.
+fn seen_of(repeats: &[Repeat]) -> Option<Seen> {
+    let all: Vec<Seen> = repeats.iter().map(|repeat| repeat.seen).collect::<Option<_>>()?;
+    let mean = |of: fn(&Seen) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
+    Some(Seen { median: mean(|seen| seen.median), p95: mean(|seen| seen.p95) })
 }
 
 /// Sums over places of means over normals and channels, in units of E².

@@ -28,7 +28,7 @@ use serde::Serialize;
 pub use fit::{CostAt, Floor};
 use fit::{cost_at, floor_of, is_erratic, slope_of};
 pub use measure::measure;
-pub use point::{Ground, Point, Spread};
+pub use point::{Ground, Point, Seen, Spread};
 
 /// The method that the others are measured by.
 pub const PATH: &str = "path";
@@ -59,6 +59,10 @@ pub struct Repeat {
     pub volume: Volume,
     /// What it took.
     pub cost: Cost,
+    /// The error between its nodes, where it was measured.
+    pub seen: Option<Seen>,
+    /// Bytes of its light in the file.
+    pub bytes: u64,
 }
 
 /// One method.
@@ -83,6 +87,27 @@ pub struct Method {
     pub at_error: Option<CostAt>,
     /// How many times less it takes than [`PATH`] for the same noise; under 1 where it takes more.
     pub times_less: Option<f64>,
+    /// CPU seconds before a bake.
+    pub setup_seconds: f64,
+    /// CPU seconds of a bake with its set-up whose error is as low as [`StudySettings::target`].
+    pub total_seconds: Option<f64>,
+    /// The noise that its bakes expect over the noise that repeats show, where that is farthest from 1; `None` where they do not
+    /// know.
+    pub claim: Option<f64>,
+    /// For the same true error it takes more than [`FAR`] times the time of the best method.
+    pub is_far: bool,
+}
+
+/// A claim that is off by more than this factor is wrong.
+pub const HONEST: f64 = 1.5;
+/// Methods that take more than so many times the best one's time are no choice.
+pub const FAR: f64 = 10.0;
+
+impl Method {
+    /// What its bakes say of their noise is off by more than [`HONEST`].
+    pub fn claims_wrongly(&self) -> bool {
+        self.claim.is_some_and(|claim| !(1.0 / HONEST..=HONEST).contains(&claim))
+    }
 }
 
 /// What capturing the probes takes.
@@ -158,6 +183,14 @@ impl Study {
         for method in &mut methods {
             method.times_less = path.zip(method.at_noise).map(|(path, own)| path / own.milliseconds_per_node);
         }
+        for method in &mut methods {
+            let error = method.at_error.map(|at| 1e-3 * at.milliseconds_per_node * settings.nodes as f64);
+            method.total_seconds = error.map(|seconds| seconds + method.setup_seconds);
+        }
+        let best = methods.iter().filter_map(|method| method.total_seconds).reduce(f64::min);
+        for method in &mut methods {
+            method.is_far = best.is_some_and(|best| method.total_seconds.is_none_or(|own| own > FAR * best));
+        }
         let break_even = match (&capture, at(&methods, GDIBL), path) {
             (Some(capture), Some(own), Some(path)) => Some(break_even(1e3 * capture.cpu_seconds, own, path)),
             _ => None,
@@ -187,10 +220,14 @@ impl Method {
             at_noise: cost_at(&points, target),
             at_error: (room > 0.0).then(|| cost_at(&points, room.sqrt())).flatten(),
             erratic: is_erratic(&points),
+            setup_seconds: points.last().map_or(0.0, |point| point.setup_seconds),
+            claim: claim_of(&points),
             points,
             slope,
             floor,
             times_less: None,
+            total_seconds: None,
+            is_far: false,
         }
     }
 
@@ -219,6 +256,13 @@ impl Method {
             ..self.clone()
         }
     }
+}
+
+/// Of the noise that bakes expect over that which repeats show, the one farthest from 1.
+fn claim_of(points: &[Point]) -> Option<f64> {
+    let noisy = points.iter().filter(|point| point.noise.middle > 0.0);
+    let claims = noisy.filter_map(|point| Some(point.estimated? / point.noise.middle));
+    claims.filter(|claim| *claim > 0.0).max_by(|a, b| a.ln().abs().total_cmp(&b.ln().abs()))
 }
 
 /// `capture` in all; `own` and `path` per node, in the same unit.

@@ -36,6 +36,10 @@ pub struct Point {
     pub noise: Spread,
     /// The noise that the bakes themselves expect; `None` where they do not know.
     pub estimated: Option<f64>,
+    /// The error between nodes, as an engine reads the file; `None` where nothing is read between them, or it was not measured.
+    pub seen: Option<Seen>,
+    /// Bytes of the light in the file.
+    pub bytes: u64,
     /// bias², without the noise of either side; may be negative by chance.
     pub bias_square: f64,
     /// 1 / (error² × CPU seconds per node).
@@ -45,6 +49,15 @@ pub struct Point {
     /// What its statistics stand on.
     #[serde(skip)]
     pub ground: Ground,
+}
+
+/// Errors at places between nodes, relative to the light there: in the air or on surfaces, whichever is larger; means over repeats.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Seen {
+    /// At half of the places it is less.
+    pub median: f64,
+    /// At 95 % of the places it is less.
+    pub p95: f64,
 }
 
 /// What a point stands on.

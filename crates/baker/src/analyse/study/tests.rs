@@ -83,7 +83,12 @@ fn cost(cpu_seconds: f64) -> Cost {
 }
 
 fn repeats(scale: f32, standard_error: f32, count: u64) -> Vec<Repeat> {
-    let repeat = |seed| Repeat { volume: volume(&noisy(scale, standard_error, seed)), cost: cost(1.0 + seed as f64) };
+    let repeat = |seed| Repeat {
+        volume: volume(&noisy(scale, standard_error, seed)),
+        cost: cost(1.0 + seed as f64),
+        seen: None,
+        bytes: 7,
+    };
     (0..count).map(repeat).collect()
 }
 
@@ -146,7 +151,12 @@ fn variance_found_and_stated(repeats: u64, alike: usize) -> [f64; 2] {
                 let own = light(place).coefficients;
                 radiance_sh(2, (0..9).map(|i| [0, 1, 2].map(|c| 1.01 * own[i][c] + noise(i, c))))
             };
-            Repeat { volume: volume(&(0..PLACES).map(shared).collect::<Vec<_>>()), cost: cost(1.0) }
+            Repeat {
+                volume: volume(&(0..PLACES).map(shared).collect::<Vec<_>>()),
+                cost: cost(1.0),
+                seen: None,
+                bytes: 7,
+            }
         };
         let point = measure(64, PLACES, &exact, &(0..repeats).map(repeat).collect::<Vec<_>>()).unwrap();
         let floor = floor_of(std::slice::from_ref(&point));
@@ -189,6 +199,8 @@ fn ladder(budgets: &[u64], noise: impl Fn(f64) -> f64, milliseconds: impl Fn(f64
             error: one(noise.hypot(bias)),
             noise: one(noise),
             estimated: None,
+            seen: None,
+            bytes: 0,
             bias_square: bias * bias,
             efficiency: 1.0 / (noise * noise * ms),
             noise_efficiency: 1.0 / (noise * noise * ms),
@@ -227,6 +239,12 @@ fn cost_at_an_error_lies_on_the_line_between_points_and_beyond_them() {
         let expected = 1e-3 * (100.0f64 * at_one).powi(2);
         assert!((at.milliseconds_per_node / expected - 1.0).abs() < 1e-9, "{at:?} {expected}");
         assert_eq!(at.extrapolated, extrapolated, "{at_one}");
+        assert!((1e-3 * at.directions / expected - 1.0).abs() < 1e-9, "{at:?}");
+    }
+    // 1000 times the longest bake, and more.
+    for (at_one, is_known) in [(20.0, true), (21.0, false)] {
+        let found = study(&[("gdibl", ladder(&BUDGETS, one_over_root(at_one), |n| n, 0.0))], None);
+        assert_eq!(found.methods[0].at_noise.is_some(), is_known, "{at_one}");
     }
     let of = |points| study(&[("gdibl", points)], None).methods.remove(0);
     // Up and down again: the last crossing.
@@ -238,7 +256,7 @@ fn cost_at_an_error_lies_on_the_line_between_points_and_beyond_them() {
     assert_eq!((flat.at_noise, flat.at_error), (None, None));
     let none = of(ladder(&BUDGETS, |_| 0.0, |n| n, 0.0));
     assert_eq!(none.slope, None);
-    assert_eq!(none.at_noise, Some(CostAt { milliseconds_per_node: 64.0, extrapolated: true }));
+    assert_eq!(none.at_noise, Some(CostAt { milliseconds_per_node: 64.0, extrapolated: true, directions: 64.0 }));
     // Nor does one that fell at first and has come to a stand.
     let stands = of(ladder(&BUDGETS, |n| (3.0 / n.sqrt()).max(0.05), |n| n, 0.0));
     assert!(stands.slope.unwrap() < -0.4 && stands.at_noise.is_some(), "the last three still fall: {stands:?}");
@@ -287,7 +305,7 @@ fn capture_is_shared_by_the_nodes_and_pays_from_some_number_on() {
 fn black_light_is_no_error() {
     let black = || vec![RadianceSh::zero(2); PLACES];
     let truth = Truth { light: TruthLight::Radiance(black()), noise: TruthNoise::Unknown, ..truth(0.0) };
-    let repeats = [0, 1].map(|_| Repeat { volume: volume(&black()), cost: cost(1.0) });
+    let repeats = [0, 1].map(|_| Repeat { volume: volume(&black()), cost: cost(1.0), seen: None, bytes: 7 });
     let point = measure(64, PLACES, &[truth], &repeats).unwrap();
     assert_eq!((point.error.middle, point.noise.middle, point.bias_square), (0.0, 0.0, 0.0));
     assert_eq!((point.estimated, point.ground.reference_noise), (Some(0.0), None));
@@ -307,4 +325,39 @@ fn sun_that_few_bakes_meet_is_no_bias() {
     assert!(method.floor.low == 0.0 && method.floor.high > 0.3, "{:?}", method.floor);
     let steady = study(&[("gdibl", ladder(&BUDGETS, one_over_root(0.3), |n| n, 0.0))], None).methods.remove(0);
     assert!(!steady.erratic);
+}
+
+#[test]
+fn methods_that_take_ten_times_the_best_ones_time_are_far() {
+    let of = |times: f64, bias| ladder(&BUDGETS, one_over_root(0.3), move |n| times * 1e-3 * n, bias);
+    let methods = [("gdibl", of(1.0, 0.0)), ("near", of(9.0, 0.0)), ("far", of(12.0, 0.0)), ("never", of(1.0, 0.02))];
+    let found = study(&methods, None);
+    let far: Vec<bool> = found.methods.iter().map(|method| method.is_far).collect();
+    assert_eq!(far, [false, false, true, true]);
+    // 0.9 ms for each of 1000 nodes.
+    assert!((found.methods[0].total_seconds.unwrap() - 0.9).abs() < 1e-9);
+    assert_eq!(found.methods[3].total_seconds, None);
+    // Where none comes to the target, none is better than the others.
+    let none = study(&[("gdibl", of(1.0, 0.02)), ("path", of(50.0, 0.02))], None);
+    assert!(none.methods.iter().all(|method| !method.is_far));
+}
+
+#[test]
+fn claims_that_do_not_hold_are_told() {
+    let of = |claims: [Option<f64>; 4]| {
+        let mut points = ladder(&BUDGETS, one_over_root(0.3), |n| n, 0.0);
+        points
+            .iter_mut()
+            .zip(claims)
+            .for_each(|(point, claim)| point.estimated = claim.map(|c| c * point.noise.middle));
+        study(&[("gdibl", points)], None).methods.remove(0)
+    };
+    let claim = |claims: [f64; 4]| of(claims.map(Some)).claim.expect("bakes state it");
+    assert!((claim([1.0, 1.2, 0.9, 1.0]) - 1.2).abs() < 1e-12);
+    assert!((claim([1.0, 1.2, 0.1, 1.0]) - 0.1).abs() < 1e-12);
+    assert_eq!(
+        [[1.0, 1.49, 1.0, 0.68], [1.0, 1.51, 1.0, 1.0]].map(|c| of(c.map(Some)).claims_wrongly()),
+        [false, true]
+    );
+    assert_eq!((of([None; 4]).claim, of([None; 4]).claims_wrongly()), (None, false));
 }

@@ -41,6 +41,7 @@
 //! | [`volume`] | a parsed file: coefficients per node, validity, positions |
 //! | [`sample`] | light at a position: trilinear in grids, nearest in points and vertices |
 //! | `batch` | the same at many positions at once |
+//! | [`set`] | several volumes of one level as one light |
 //! | [`walls`] | what keeps light on its side of walls between the nodes of a grid |
 //! | [`nearest`] | the nearest of many positions |
 //! | [`gpu`] | a grid as the buffers that the shaders in `shaders/` sample |
@@ -79,6 +80,7 @@ mod math;
 pub mod nearest;
 pub mod packed;
 pub mod sample;
+pub mod set;
 pub mod sh;
 mod shuffle;
 pub mod volume;
@@ -88,5 +90,6 @@ pub use error::Error;
 pub use format::{Header, Kind, Limits, Units};
 pub use grid::{Cell, Grid};
 pub use sample::Sample;
+pub use set::VolumeSet;
 pub use sh::{IrradianceSh, RadianceSh};
 pub use volume::Volume;

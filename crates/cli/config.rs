@@ -80,7 +80,7 @@ struct BakeFile {
 }
 
 /// Everything that was asked for, paths resolved.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Config {
     pub level: PathBuf,
     pub output: PathBuf,

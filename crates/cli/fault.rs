@@ -43,6 +43,15 @@ impl Fault {
         }
     }
 
+    /// What the runtime said of a file.
+    pub fn of_volume(path: &Path, error: &gdibl_runtime::Error) -> Fault {
+        let message = format!("{}: {error}", path.display());
+        match error {
+            gdibl_runtime::Error::Unsupported { .. } => Fault::Unsupported(message),
+            _ => Fault::Invalid(message),
+        }
+    }
+
     /// What the library said when it wrote a file.
     pub fn from_writing(error: gdibl_baker::Error) -> Fault {
         match error {

@@ -11,6 +11,7 @@ mod progress;
 mod session;
 mod stages;
 mod study;
+mod volumes;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

@@ -24,3 +24,4 @@ mod settings;
 mod sky;
 mod study;
 mod sun;
+mod volumes;

@@ -532,12 +532,16 @@ pub struct ProbeMarker {
 pub struct VolumeMarker {
     /// The node's name.
     pub name: String,
+    /// The node as messages call it, by its index and name.
+    pub node: String,
     /// Node spacing, metres.
     pub spacing: f64,
     /// World position of the node.
     pub center: DVec3,
     /// Columns: half axes of the box in the world.
     pub half_axes: DMat3,
+    /// Its other `gdibl_*` properties, settings of its own: names without `gdibl_`, and values as the text of a flag.
+    pub settings: Vec<(String, String)>,
 }
 
 impl VolumeMarker {
@@ -546,6 +550,13 @@ impl VolumeMarker {
         let axes = [self.half_axes.x_axis, self.half_axes.y_axis, self.half_axes.z_axis];
         let reach = axes.iter().fold(DVec3::ZERO, |sum, axis| sum + axis.abs());
         (self.center - reach, self.center + reach)
+    }
+
+    /// The box's edges lie along the world's axes, so that [`bounds`](Self::bounds) is the box itself. Rounding of a quarter
+    /// turn does not count.
+    pub fn is_upright(&self) -> bool {
+        let axes = [self.half_axes.x_axis, self.half_axes.y_axis, self.half_axes.z_axis];
+        axes.iter().all(|axis| axis.abs().max_element() >= (1.0 - 1e-9) * axis.length())
     }
 }
 

@@ -7,18 +7,20 @@ use gdibl_baker::bake::Nodes;
 use gdibl_baker::exposure::ExposureMatch;
 use gdibl_baker::job::bands::Truncation;
 use gdibl_baker::job::records::{PlanRow, SeenParts, SeenSet, StatisticsRecord};
-use gdibl_baker::job::{Job, Made, Method, Stage, Watch};
+use gdibl_baker::job::{Inputs, Job, Made, Method, Row, Stage, Stop, Volumes, Wanted, Watch, wanted_of};
 use gdibl_baker::pack::{Packed, Precision, write_whole};
 use serde::Serialize;
+use std::path::Path;
 
 use crate::captures::capture_missing;
-use crate::config::{Config, FileFlags, set_threads};
+use crate::config::{Config, FileFlags, file_name, set_threads};
 use crate::fault::Fault;
 use crate::flags::{OfBakes, SettingFlags};
 use crate::inputs::{memory_of, read_inputs};
 use crate::progress::Progress;
 use crate::session::{Outcome, Session};
 use crate::stages::Stages;
+use crate::volumes::{Entry, VolumeList, list_path};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -29,6 +31,9 @@ pub struct Arguments {
     /// With --method gdibl: never capture probes from the level, but fill what the given ones and the sky do not show
     #[arg(long)]
     no_capture: bool,
+    /// Of a level whose nodes place several volumes, bake this one alone; repeatable [default: all]
+    #[arg(long = "volume", value_name = "NAME")]
+    volumes: Vec<String>,
     /// Print what would be done and left out, and stop
     #[arg(long)]
     plan: bool,
@@ -62,13 +67,53 @@ struct PlanReport {
     likely_seconds: Option<f64>,
 }
 
-pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
+/// What `--json` prints of a level with several volumes.
+#[derive(Serialize)]
+struct SeveralReport {
+    /// The list of all of the level's volumes.
+    list: String,
+    wall_seconds: f64,
+    cpu_seconds: f64,
+    /// Those that were baked, in its order.
+    volumes: Vec<Named<Report>>,
+}
+
+/// What `--plan --json` prints of a level with several volumes.
+#[derive(Serialize)]
+struct SeveralPlans {
+    list: String,
+    volumes: Vec<Named<PlanReport>>,
+}
+
+/// A volume of a list, and what is said of it.
+#[derive(Serialize)]
+struct Named<T> {
+    #[serde(flatten)]
+    entry: Entry,
+    #[serde(flatten)]
+    of: T,
+}
+
+pub fn run(mut arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let stages = Stages::begin("read");
-    let config = Config::new(arguments.files, &arguments.settings.given)?;
+    let mut config = Config::new(arguments.files.clone(), &arguments.settings.given)?;
     set_threads(&config.settings)?;
 
     // Everything is read and refused before the first ray.
     let inputs = read_inputs(&config, config.textures())?;
+    let given = std::mem::take(&mut arguments.settings.given);
+    let is_given = |row: &Row| given.iter().any(|given| (given.section, given.name) == (row.section, row.name));
+    let mut wanted = wanted_of(&inputs.scene, &config.settings, is_given, &inputs.level)?;
+    if wanted.len() > 1 {
+        return run_several(&arguments, &config, inputs, wanted, &stages, session);
+    }
+    if let Some(name) = arguments.volumes.first() {
+        let level = &inputs.level;
+        return Err(Fault::Usage(format!("--volume {name}: {level} places no several volumes to choose from")));
+    }
+    if let Some(only) = wanted.pop() {
+        config.settings = only.settings;
+    }
     let mut job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
     if arguments.plan {
         let (plan, likely_seconds) = (job.plan(), likely_seconds(&job, &stages, session)?);
@@ -87,35 +132,173 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
 
     let found = job.inputs.findings.len();
     let is_traced = job.method() == Method::Path;
-    let mut made = bake(job, &stages, session, arguments.quiet)?;
+    let made = bake(&mut job, &stages, session, arguments.quiet);
+    // What it was made from goes before the file is put together.
+    drop(job);
+    let mut made = made?;
+    let missed = tell_made(&mut made, found, &config, &stages, session);
+    Ok(write(made, &config, &stages, session, is_traced)?.missing(missed))
+}
+
+/// Tells what was found, from the finding `found` on, and returns which bound was missed, if one was.
+fn tell_made(made: &mut Made, found: usize, config: &Config, stages: &Stages, session: &Session) -> Option<String> {
     let statistics = made.records.statistics.as_mut().expect("a job fills it in");
     session.find(&statistics.findings[found..]);
     if config.settings.quality.record_times {
         stages.fill(&mut statistics.stages);
     }
-    let missed = missed_text(&made, &config);
+    let missed = missed_text(made, config);
     missed.iter().for_each(|text| session.note(&[Finding::new("missed-target", made.baked.missed, text)]));
-    let wrong = seen_text(statistics_of(&made), &config);
+    let wrong = seen_text(statistics_of(made), config);
     wrong.iter().for_each(|text| session.note(&[Finding::new("missed-seen-error", 1, text)]));
-    Ok(write(made, &config, &stages, session, is_traced)?.missing(missed.or(wrong)))
+    missed.or(wrong)
 }
 
-/// Packs the volume, writes it, and tells what was made. `is_traced`: by paths, of which coverage tells nothing.
-fn write(
-    mut made: Made,
+/// Bakes the volumes of a level, one after another. Files are written once all are baked, and the list last: where it is, they are.
+fn run_several(
+    arguments: &Arguments,
     config: &Config,
+    inputs: Inputs,
+    wanted: Vec<Wanted>,
     stages: &Stages,
     session: &Session,
-    is_traced: bool,
 ) -> Result<Outcome, Fault> {
-    let place = place_text(&made.nodes);
-    let (sh, truncation, exposure) = (format!("L{}", made.baked.bands), made.truncations.clone(), made.exposure.take());
-    let Packed { bytes, records } = made.sections().assemble();
+    let path = list_path(&config.output);
+    let mut volumes = Volumes::prepare(inputs, wanted, memory_of(&config.settings))?;
+    let list = VolumeList::of(file_name(&config.level), volumes.list());
+    let chosen = chosen(&list, &arguments.volumes, &config.level)?;
+    if arguments.plan {
+        let plans = plans_of(&mut volumes, &list, &chosen, stages, session)?;
+        return Ok(plan_several(plans, path.display().to_string()));
+    }
+    session.find(&volumes.job(chosen[0]).inputs.findings);
+    for volume in &chosen[1..] {
+        volumes.job(*volume);
+        session.find(volumes.own_findings());
+    }
+    let job = volumes.job(chosen[0]);
+    job.inputs.check_light(job.method())?;
+    chosen.iter().try_for_each(|volume| super::check_output(&path.with_file_name(&list.volumes[*volume].file)))?;
+    super::check_output(&path)?;
+    volumes.check_open(&session.cancel)?;
+    let job = volumes.job(chosen[0]);
+    if job.wants_capture() && !arguments.no_capture {
+        stages.next("capture");
+        let read = job.inputs.findings.len();
+        capture_missing(config, &mut job.inputs, &session.cancel, arguments.quiet)?;
+        session.find(&job.inputs.findings[read..]);
+    }
+
+    let (mut all, mut missed) = (Vec::new(), None);
+    for (turn, volume) in chosen.iter().enumerate() {
+        let own_stages = (turn > 0).then(|| Stages::begin("read"));
+        let stages = own_stages.as_ref().unwrap_or(stages);
+        let job = volumes.job(*volume);
+        let found = job.inputs.findings.len();
+        let is_traced = job.method() == Method::Path;
+        let output = path.with_file_name(&list.volumes[*volume].file);
+        let config = Config { output, settings: job.settings.clone(), ..config.clone() };
+        let made = bake(job, stages, session, arguments.quiet);
+        let mut made = made.map_err(|stop| Fault::from(volumes.name_stop(*volume, stop)))?;
+        let name = &list.volumes[*volume].name;
+        let own_missed = tell_made(&mut made, found, &config, stages, session);
+        missed = missed.or(own_missed.map(|text| format!("{name}: {text}")));
+        all.push((assemble(made), config, is_traced, own_stages));
+    }
     if session.cancel.load(Ordering::Relaxed) {
         return Err(Fault::Interrupted);
     }
-    write_whole(&config.output, &bytes).map_err(|error| Fault::System(format!("{error}; nothing was written")))?;
+    for (Assembled { packed, .. }, config, ..) in &all {
+        write_whole(&config.output, &packed.bytes).map_err(Fault::from_writing)?;
+    }
+    write_whole(&path, &list.to_bytes()).map_err(Fault::from_writing)?;
 
+    let (mut reports, mut texts) = (Vec::new(), Vec::new());
+    for (volume, (assembled, config, is_traced, own_stages)) in chosen.into_iter().zip(all) {
+        let (report, text) = report_of(assembled, &config, own_stages.as_ref().unwrap_or(stages), is_traced);
+        texts.push(text);
+        reports.push(Named { entry: list.volumes[volume].clone(), of: report });
+    }
+    let (wall_seconds, cpu_seconds) = stages.total();
+    let report = SeveralReport { list: path.display().to_string(), wall_seconds, cpu_seconds, volumes: reports };
+    let text = format!("{}\n{}: the list of them", texts.join("\n"), report.list);
+    Ok(Outcome::new(report, text).missing(missed))
+}
+
+/// The places in the list of the volumes that are to be baked: all, or those of these names.
+fn chosen(list: &VolumeList, names: &[String], level: &Path) -> Result<Vec<usize>, Fault> {
+    let all = || list.volumes.iter().map(|entry| entry.name.as_str());
+    if let Some(name) = names.iter().find(|name| all().all(|other| other != *name)) {
+        let there: Vec<&str> = all().collect();
+        let level = level.display();
+        return Err(Fault::Usage(format!("--volume {name}: {level} has no such volume; it has {}", there.join(", "))));
+    }
+    let is_chosen = |name: &str| names.is_empty() || names.iter().any(|chosen| chosen == name);
+    Ok(all().enumerate().filter(|(_, name)| is_chosen(name)).map(|(place, _)| place).collect())
+}
+
+fn plans_of(
+    volumes: &mut Volumes,
+    list: &VolumeList,
+    chosen: &[usize],
+    stages: &Stages,
+    session: &Session,
+) -> Result<Vec<Named<PlanReport>>, Fault> {
+    let plan_of = |volume: &usize| {
+        let job = volumes.job(*volume);
+        let (plan, likely_seconds) = (job.plan(), likely_seconds(job, stages, session)?);
+        Ok(Named { entry: list.volumes[*volume].clone(), of: PlanReport { plan, likely_seconds } })
+    };
+    chosen.iter().map(plan_of).collect()
+}
+
+/// A row for each volume, then what will be done for all alike, and then what for each.
+fn plan_several(plans: Vec<Named<PlanReport>>, path: String) -> Outcome {
+    let is_common = |row: &PlanRow| plans.iter().all(|plan| plan.of.plan.contains(row));
+    let head = |Named { entry, of }: &Named<PlanReport>| {
+        let [x, y, z] = [0, 1, 2].map(|k| entry.max[k] - entry.min[k]);
+        let nodes = of.plan.iter().find(|row| row.stage == "nodes").map_or("", |row| &row.why);
+        PlanRow::new(&format!("'{}'", entry.name), true, format!("{x:.3} x {y:.3} x {z:.3} m, {nodes}"))
+    };
+    let mut rows: Vec<PlanRow> = plans.iter().map(head).collect();
+    rows.extend(plans[0].of.plan.iter().filter(|row| is_common(row)).cloned());
+    let mut text = rows_text(&rows);
+    for Named { entry, of } in &plans {
+        let own: Vec<PlanRow> = of.plan.iter().filter(|row| !is_common(row)).cloned().collect();
+        text += &format!("\n\n'{}', to {}\n{}", entry.name, entry.file, plan_text(&own, of.likely_seconds));
+    }
+    Outcome::new(SeveralPlans { list: path, volumes: plans }, text)
+}
+
+/// A volume in the bytes of its file, and what is said of it.
+struct Assembled {
+    packed: Packed,
+    place: String,
+    sh: String,
+    truncation: Vec<Truncation>,
+    exposure: Option<ExposureMatch>,
+}
+
+fn assemble(mut made: Made) -> Assembled {
+    let place = place_text(&made.nodes);
+    let (sh, truncation, exposure) = (format!("L{}", made.baked.bands), made.truncations.clone(), made.exposure.take());
+    Assembled { packed: made.sections().assemble(), place, sh, truncation, exposure }
+}
+
+/// Packs the volume, writes it, and tells what was made. `is_traced`: by paths, of which coverage tells nothing.
+fn write(made: Made, config: &Config, stages: &Stages, session: &Session, is_traced: bool) -> Result<Outcome, Fault> {
+    let assembled = assemble(made);
+    if session.cancel.load(Ordering::Relaxed) {
+        return Err(Fault::Interrupted);
+    }
+    let written = write_whole(&config.output, &assembled.packed.bytes);
+    written.map_err(|error| Fault::System(format!("{error}; nothing was written")))?;
+    let (report, text) = report_of(assembled, config, stages, is_traced);
+    Ok(Outcome::new(report, text))
+}
+
+fn report_of(assembled: Assembled, config: &Config, stages: &Stages, is_traced: bool) -> (Report, String) {
+    let Assembled { packed: Packed { bytes, records }, place, sh, truncation, exposure } = assembled;
     let mut statistics = records.statistics.expect("it was filled in");
     stages.fill(&mut statistics.stages);
     // The report's own findings are those of the whole run.
@@ -138,7 +321,7 @@ fn write(
         statistics,
     };
     let text = text(&report, &place, config.settings.quality.precision);
-    Ok(Outcome::new(report, text))
+    (report, text)
 }
 
 /// How long the bake is likely to take: a few nodes are baked. `None`: it depends on probes that are still to be captured.
@@ -152,13 +335,13 @@ fn likely_seconds(job: &Job, stages: &Stages, session: &Session) -> Result<Optio
 }
 
 /// Runs the job with a progress bar.
-fn bake(job: Job, stages: &Stages, session: &Session, quiet: bool) -> Result<Made, Fault> {
+fn bake(job: &mut Job, stages: &Stages, session: &Session, quiet: bool) -> Result<Made, Stop> {
     let progress = Progress::new("nodes", job.nodes().len() as u64, quiet);
     let advance = |nodes, rays| progress.advance(nodes, rays);
     let stage = |stage: Stage| stages.next(stage.name());
     let seconds = || stages.total().0;
     let watch = Watch { cancel: &session.cancel, progress: &advance, stage: &stage, seconds: &seconds };
-    let made = job.run(&watch)?;
+    let made = job.bake(&watch)?;
     stages.next(Stage::Pack.name());
     progress.finish();
     Ok(made)
@@ -217,14 +400,18 @@ fn missed_text(made: &Made, config: &Config) -> Option<String> {
     ))
 }
 
-fn plan_text(plan: &[PlanRow], likely_seconds: Option<f64>) -> String {
+fn rows_text(rows: &[PlanRow]) -> String {
     let line =
         |row: &PlanRow| format!("{:<16} {:<9} {}", row.stage, if row.kept { "kept" } else { "left out" }, row.why);
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+fn plan_text(plan: &[PlanRow], likely_seconds: Option<f64>) -> String {
     let time = likely_seconds.map_or_else(
         || "is not known before probes are captured".into(),
         |seconds| format!("about {seconds:.1} s on this machine, as a few nodes took"),
     );
-    plan.iter().map(line).chain([format!("{:<16} {time}", "time")]).collect::<Vec<_>>().join("\n")
+    format!("{}\n{:<16} {time}", rows_text(plan), "time")
 }
 
 /// Where the nodes are, in words.

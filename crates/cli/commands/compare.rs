@@ -4,23 +4,24 @@ use std::path::{Path, PathBuf};
 
 use gdibl_baker::Finding;
 use gdibl_baker::analyse::{
-    Answer, CompareSettings, Comparison, IrradianceError, NoiseUnknown, Truth, choose_sets, compare,
+    Answer, CompareSettings, Comparison, Found, IrradianceError, NoiseUnknown, Truth, choose_sets, compare,
 };
 use gdibl_baker::import::reference::{is_json, parse_reference};
 use gdibl_baker::job::records::SettingsRecord;
-use gdibl_runtime::Volume;
 use gdibl_runtime::format::{self, MAGIC};
+use gdibl_runtime::{Volume, VolumeSet};
 use serde::Serialize;
 
 use crate::fault::Fault;
 use crate::session::{Outcome, Session};
+use crate::volumes::{VolumeList, is_list, set_of};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The volume to judge
+    /// The volume to judge, or a list of volumes
     #[arg(value_name = "A")]
     found: PathBuf,
-    /// What it should be: a volume, or a JSON of places with their light (assets/uffizi-box/reference.json is one).
+    /// What it should be: a volume, a list of volumes, or a JSON of places with their light (assets/uffizi-box/reference.json is one).
     /// The comparison is at its places
     #[arg(value_name = "B")]
     truth: PathBuf,
@@ -57,6 +58,8 @@ pub struct Input {
 
 pub enum Kind {
     Volume(Box<Volume>),
+    /// With the names of its volumes.
+    Set(VolumeSet, Vec<String>),
     Reference(Vec<Truth>),
 }
 
@@ -65,6 +68,10 @@ impl Input {
     pub fn truths(self, sets: &[String], path: &Path) -> Result<Vec<Truth>, Fault> {
         let truths = match self.light {
             Kind::Volume(volume) => vec![Truth { level: self.level, ..Truth::of_volume(&volume) }],
+            Kind::Set(set, names) => {
+                let named = |(truth, name)| Truth { name, level: self.level.clone(), ..truth };
+                Truth::of_set(&set).into_iter().zip(names).map(named).collect()
+            }
             Kind::Reference(truths) => truths,
         };
         chosen(truths, sets, path)
@@ -79,15 +86,19 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let (found, truth) = (read(found_path)?, read(truth_path)?);
     let settings = CompareSettings { common_seed: found.seed.is_some() && found.seed == truth.seed };
     let (found_deringed, truth_deringed) = (found.deringed, truth.deringed);
-    let level = found.level;
-    let Kind::Volume(found) = found.light else {
-        return Err(Fault::Invalid(format!(
-            "{}: is a reference; the volume comes first: gdibl compare VOLUME.gdibl REFERENCE.json",
-            found_path.display()
-        )));
+    let level = found.level.clone();
+    let found = match &found.light {
+        Kind::Volume(volume) => Found::Volume(volume),
+        Kind::Set(set, _) => Found::Set(set),
+        Kind::Reference(_) => {
+            return Err(Fault::Invalid(format!(
+                "{}: is a reference; the volume comes first: gdibl compare VOLUME.gdibl REFERENCE.json",
+                found_path.display()
+            )));
+        }
     };
     let truths = truth.truths(sets, truth_path)?;
-    let comparison = compare(&found, &truths, &settings)
+    let comparison = compare(found, &truths, &settings)
         .map_err(|nothing| Fault::Invalid(format!("{}: {nothing}", found_path.display())))?;
     session.find(&other_levels(&found_path.display().to_string(), &level, &truths));
     let relative_rmse = comparison.all.relative_rmse;
@@ -105,7 +116,10 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
 
 /// The file's first bytes tell what it is.
 pub fn read(path: &Path) -> Result<Input, Fault> {
-    let bytes = super::read_volume_bytes(path)?;
+    let bytes = super::read_bytes(path)?;
+    if is_list(&bytes) {
+        return read_list(VolumeList::parse(path, &bytes)?, path);
+    }
     if is_json(&bytes) {
         let light = Kind::Reference(parse_reference(path, &bytes)?);
         return Ok(Input { light, seed: None, level: String::new(), deringed: false });
@@ -117,15 +131,35 @@ pub fn read(path: &Path) -> Result<Input, Fault> {
             &bytes[..bytes.len().min(MAGIC.len())]
         )));
     }
-    let fault = |error: gdibl_runtime::Error| super::volume_fault(path, &error);
-    let volume = Volume::parse(&bytes).map_err(fault)?;
-    let directory = format::parse_header_and_sections(&bytes).map_err(fault)?;
-    let settings: Option<SettingsRecord> = super::record(&directory, path, format::SETTINGS)?;
+    let volume = Volume::parse(&bytes).map_err(|error| super::volume_fault(path, &error))?;
+    let settings = settings_of(&bytes, path)?;
     Ok(Input {
         deringed: volume.header().is_deringed(),
         light: Kind::Volume(Box::new(volume)),
         seed: settings.as_ref().map(|settings| settings.seed),
         level: settings.map(|settings| settings.level).unwrap_or_default(),
+    })
+}
+
+fn settings_of(bytes: &[u8], path: &Path) -> Result<Option<SettingsRecord>, Fault> {
+    let directory = format::parse_header_and_sections(bytes).map_err(|error| super::volume_fault(path, &error))?;
+    super::record(&directory, path, format::SETTINGS)
+}
+
+/// The volumes of a list as one.
+fn read_list(list: VolumeList, path: &Path) -> Result<Input, Fault> {
+    let level = list.level.clone();
+    let listings = list.open(path)?;
+    let set = set_of(&listings, path)?;
+    let seeds = listings.iter().map(|own| Ok(settings_of(&own.bytes, &own.path)?.map(|settings| settings.seed)));
+    let seeds: Vec<Option<u64>> = seeds.collect::<Result<_, Fault>>()?;
+    let deringed = set.volumes().any(|volume| volume.header().is_deringed());
+    Ok(Input {
+        deringed,
+        light: Kind::Set(set, listings.into_iter().map(|own| own.entry.name).collect()),
+        // Of different seeds none is that of all.
+        seed: seeds[0].filter(|_| seeds.iter().all(|seed| *seed == seeds[0])),
+        level,
     })
 }
 

@@ -10,16 +10,18 @@ use serde::Serialize;
 use crate::config::file_name;
 use crate::fault::Fault;
 use crate::session::Outcome;
+use crate::volumes::{VolumeList, is_list, set_of};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The volume
+    /// The volume, or a list of volumes: engines take one each
     file: PathBuf,
     /// For whom: bevy (KTX2), three (LightProbeGrid), godot (LightmapGIData .tres), unity (light probes as JSON), exr
     /// (coefficients as layers) or json
     #[arg(long, value_name = "ENGINE")]
     to: Target,
-    /// The file to write; files that come with it go beside it
+    /// The file to write; files that come with it go beside it. Of a list one is written for each volume, its name behind a
+    /// dash: OUT-NAME
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Grid nodes per axis: X,Y,Z, sampled from the volume; more of them lessen what three, godot and unity lose
@@ -69,12 +71,58 @@ struct FileReport {
     bytes: usize,
 }
 
+/// What `--json` prints of a list.
+#[derive(Serialize)]
+struct ListReport {
+    list: String,
+    /// In the order of the list, the finest first.
+    volumes: Vec<ListedReport>,
+}
+
+#[derive(Serialize)]
+struct ListedReport {
+    name: String,
+    #[serde(flatten)]
+    report: Report,
+}
+
 pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
     let Arguments { file, to, output, counts } = &arguments;
-    let volume = Volume::parse(&super::read_volume_bytes(file)?).map_err(|error| super::volume_fault(file, &error))?;
+    let bytes = super::read_bytes(file)?;
+    if !is_list(&bytes) {
+        let volume = Volume::parse(&bytes).map_err(|error| super::volume_fault(file, &error))?;
+        let (report, text) = export_one(&volume, file, *to, output, *counts)?;
+        return Ok(Outcome::new(report, text));
+    }
+    let listings = VolumeList::parse(file, &bytes)?.open(file)?;
+    set_of(&listings, file)?;
+    let (mut volumes, mut texts) = (Vec::new(), Vec::new());
+    for listing in listings {
+        let (name, path) = (&listing.entry.name, &listing.path);
+        let (report, text) = export_one(&listing.parse()?, path, *to, &with_name(output, name), *counts)?;
+        texts.push(text);
+        volumes.push(ListedReport { name: name.clone(), report });
+    }
+    Ok(Outcome::new(ListReport { list: file.display().to_string(), volumes }, texts.join("\n")))
+}
+
+/// The output of one volume of a list.
+fn with_name(output: &Path, name: &str) -> PathBuf {
+    let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+    let ending = output.extension().map_or_else(String::new, |ending| format!(".{}", ending.to_string_lossy()));
+    output.with_file_name(format!("{stem}-{name}{ending}"))
+}
+
+fn export_one(
+    volume: &Volume,
+    file: &Path,
+    to: Target,
+    output: &Path,
+    counts: Option<[u32; 3]>,
+) -> Result<(Report, String), Fault> {
     super::check_output(output)?;
-    let settings = Settings { name: file_name(output), counts: *counts };
-    let Export { files, report } = export(&volume, to.engine(), &settings).map_err(|error| match error {
+    let settings = Settings { name: file_name(output), counts };
+    let Export { files, report } = export(volume, to.engine(), &settings).map_err(|error| match error {
         Error::Unsupported(message) => Fault::Unsupported(format!("{}: {message}", file.display())),
         Error::Settings(message) => Fault::Usage(message),
     })?;
@@ -93,7 +141,7 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
         export: report,
     };
     let text = text(&report, file);
-    Ok(Outcome::new(report, text))
+    Ok((report, text))
 }
 
 fn parse_counts(text: &str) -> Result<[u32; 3], String> {

@@ -1,6 +1,6 @@
 //! `gdibl inspect`: what is in a volume.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use gdibl_baker::analyse::{VolumeSummary, summarise};
 use gdibl_baker::job::records::{InputRecord, PlanRow, ProbeRecord, SettingsRecord, StatisticsRecord};
@@ -11,10 +11,11 @@ use serde_json::Value;
 
 use crate::fault::Fault;
 use crate::session::Outcome;
+use crate::volumes::{Listing, VolumeList, is_list, set_of};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The volume
+    /// The volume, or a list of volumes
     file: PathBuf,
 }
 
@@ -71,12 +72,53 @@ struct SectionReport {
     raw_bytes: u64,
 }
 
+/// What `--json` prints of a list.
+#[derive(Serialize)]
+struct ListReport {
+    list: String,
+    /// File name of the level.
+    level: String,
+    /// In the order of the list, the finest first.
+    volumes: Vec<ListedReport>,
+}
+
+#[derive(Serialize)]
+struct ListedReport {
+    name: String,
+    #[serde(flatten)]
+    report: Report,
+}
+
 pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
     let path = &arguments.file;
-    let bytes = super::read_volume_bytes(path)?;
+    let bytes = super::read_bytes(path)?;
+    if is_list(&bytes) {
+        return inspect_list(VolumeList::parse(path, &bytes)?, path);
+    }
+    let (report, text) = inspect(path, &bytes)?;
+    Ok(Outcome::new(report, text))
+}
+
+/// Each volume of a list, one after another.
+fn inspect_list(list: VolumeList, path: &Path) -> Result<Outcome, Fault> {
+    let level = list.level.clone();
+    let listings = list.open(path)?;
+    // They fit together.
+    set_of(&listings, path)?;
+    let mut text = format!("{}: {} volumes of {level}, the finest first", path.display(), listings.len());
+    let mut volumes = Vec::new();
+    for Listing { entry, path, bytes } in listings {
+        let (report, own) = inspect(&path, &bytes)?;
+        text += &format!("\n\n'{}', blended over {:.3} m\n{own}", entry.name, entry.spacing);
+        volumes.push(ListedReport { name: entry.name, report });
+    }
+    Ok(Outcome::new(ListReport { list: path.display().to_string(), level, volumes }, text))
+}
+
+fn inspect(path: &Path, bytes: &[u8]) -> Result<(Report, String), Fault> {
     let fault = |error: gdibl_runtime::Error| super::volume_fault(path, &error);
-    let directory = format::parse_header_and_sections(&bytes).map_err(fault)?;
-    let volume = Volume::parse(&bytes).map_err(fault)?;
+    let directory = format::parse_header_and_sections(bytes).map_err(fault)?;
+    let volume = Volume::parse(bytes).map_err(fault)?;
     let header = directory.header;
     let settings: Option<SettingsRecord> = super::record(&directory, path, format::SETTINGS)?;
     let report = Report {
@@ -105,7 +147,7 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Fault> {
         statistics: super::record(&directory, path, format::STATISTICS)?,
     };
     let text = text(&report, &header);
-    Ok(Outcome::new(report, text))
+    Ok((report, text))
 }
 
 /// By name. Of a file of an earlier version what that tells.

@@ -19,6 +19,7 @@ use gdibl_runtime::format::{Directory, Limits};
 use std::path::Path;
 
 use crate::fault::Fault;
+use crate::volumes::{VolumeList, is_list};
 
 /// An output that cannot be written is found out before hours of work.
 fn check_output(output: &Path) -> Result<(), Fault> {
@@ -30,18 +31,26 @@ fn check_output(output: &Path) -> Result<(), Fault> {
     probe.map(drop).map_err(|error| Fault::writing(output, &error))
 }
 
-/// A volume from a file.
-fn read_volume_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
+/// The bytes of a volume, or of a list of volumes.
+fn read_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
     std::fs::read(path).map_err(|error| Fault::reading(path, &error))
+}
+
+/// The bytes of a volume, for a verb that takes one. A list is refused with the files that it names.
+fn read_volume_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
+    let bytes = read_bytes(path)?;
+    if is_list(&bytes) {
+        let list = VolumeList::parse(path, &bytes)?;
+        let files: Vec<&str> = list.volumes.iter().map(|entry| entry.file.as_str()).collect();
+        let path = path.display();
+        return Err(Fault::Usage(format!("{path}: is a list of volumes; give one of them: {}", files.join(", "))));
+    }
+    Ok(bytes)
 }
 
 /// What the runtime said of a file, as an exit code.
 fn volume_fault(path: &Path, error: &gdibl_runtime::Error) -> Fault {
-    let message = format!("{}: {error}", path.display());
-    match error {
-        gdibl_runtime::Error::Unsupported { .. } => Fault::Unsupported(message),
-        _ => Fault::Invalid(message),
-    }
+    Fault::of_volume(path, error)
 }
 
 /// A small record of a volume; `None` where it holds none.

@@ -3,16 +3,17 @@
 use std::path::PathBuf;
 
 use gdibl_baker::Finding;
-use gdibl_runtime::{Sample, Volume, sh};
+use gdibl_runtime::{Sample, sh};
 use serde::Serialize;
 
 use crate::fault::Fault;
 use crate::inputs::{Places, read_places};
 use crate::session::{Outcome, Session};
+use crate::volumes::Light;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The volume
+    /// The volume, or a list of volumes
     file: PathBuf,
     /// CSV of places: x,y,z or x,y,z,nx,ny,nz, world metres and unit normals; a header line may come first; - is stdin
     #[arg(long, value_name = "FILE.csv")]
@@ -30,9 +31,8 @@ struct Report {
 }
 
 pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
-    let bytes = super::read_volume_bytes(&arguments.file)?;
-    let volume = Volume::parse(&bytes).map_err(|error| super::volume_fault(&arguments.file, &error))?;
-    if volume.header().is_deringed() {
+    let light = Light::read(&arguments.file)?;
+    if light.is_deringed() {
         let file = arguments.file.display();
         let message = format!("{file} is de-ringed: coefficients of nodes that rang are not the raw projection");
         session.find(&[Finding::new("deringed", 1, message)]);
@@ -45,28 +45,30 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         )));
     }
     let samples: Vec<Sample> =
-        (0..places.positions.len()).map(|i| volume.sample_f64(places.positions[i].into(), places.normal(i))).collect();
+        (0..places.positions.len()).map(|i| light.sample_f64(places.positions[i].into(), places.normal(i))).collect();
     let outside = samples.iter().filter(|s| !s.inside).count();
     if outside > 0 {
         let all = samples.len();
         let message = format!("{outside} of {all} places are outside the volume's box; they get its nearest light");
         session.find(&[Finding::new("outside", outside as u64, message)]);
     }
-    let rows: Vec<Vec<f64>> = samples.iter().enumerate().map(|(i, s)| row(&places, i, s, arguments.sh)).collect();
-    let names = column_names(&places, volume.header().bands, arguments.sh);
+    let bands = light.bands();
+    let rows = samples.iter().enumerate().map(|(i, sample)| row(&places, i, sample, bands, arguments.sh));
+    let rows: Vec<Vec<f64>> = rows.collect();
+    let names = column_names(&places, bands, arguments.sh);
     let text = csv_of(&names, &rows);
     let object = |row: &Vec<f64>| names.iter().cloned().zip(row.iter().map(|value| (*value).into())).collect();
     Ok(Outcome::new(Report { samples: rows.iter().map(object).collect() }, text))
 }
 
 /// The columns that came in, then the answer.
-fn row(places: &Places, index: usize, sample: &Sample, coefficients: bool) -> Vec<f64> {
+fn row(places: &Places, index: usize, sample: &Sample, bands: u32, coefficients: bool) -> Vec<f64> {
     let mut row: Vec<f64> = places.positions[index].to_array().into();
     if !places.normals.is_empty() {
         row.extend(places.normals[index].to_array().map(f64::from));
     }
     if coefficients {
-        let count = sh::coefficient_count(sample.sh.bands);
+        let count = sh::coefficient_count(bands);
         row.extend(sample.sh.coefficients[..count].iter().flatten().map(|&c| f64::from(c)));
     } else {
         row.extend(sample.sh.convolve().evaluate(places.normal(index)).map(f64::from));

@@ -1,4 +1,4 @@
-//! A volume against truth at places: another volume's nodes, or a reference.
+//! A volume, or several of one level, against truth at places: another volume's nodes, or a reference.
 //!
 //! Where the volume has the very places of the truth, in the same order, it is compared node against node. Else a grid is
 //! sampled at them, interpolated as an engine would; points and vertices answer for the places that they hold, and no
@@ -7,7 +7,8 @@
 //! A place is held when a node is within a millimetre of it, or a ten-thousandth of the truth's box if that is less (what
 //! a round trip through text or single floats moves a place by), and, where both have a normal, faces the same way.
 
-use gdibl_runtime::{RadianceSh, Volume};
+use gdibl_runtime::set::Share;
+use gdibl_runtime::{RadianceSh, Volume, VolumeSet};
 use serde::Serialize;
 
 use super::error::{ErrorDirections, IrradianceError, Light, Pair, Tally};
@@ -22,6 +23,45 @@ const REACH_SHARE: f64 = 1e-4;
 const SAME_NORMAL: f32 = 0.9;
 /// Places listed as worst.
 const WORST: usize = 5;
+
+/// What is judged.
+#[derive(Debug, Clone, Copy)]
+pub enum Found<'a> {
+    /// A volume.
+    Volume(&'a Volume),
+    /// Several volumes of a level, as the runtime reads them.
+    Set(&'a VolumeSet),
+}
+
+impl<'a> From<&'a Volume> for Found<'a> {
+    fn from(volume: &'a Volume) -> Self {
+        Found::Volume(volume)
+    }
+}
+
+impl<'a> From<&'a VolumeSet> for Found<'a> {
+    fn from(set: &'a VolumeSet) -> Self {
+        Found::Set(set)
+    }
+}
+
+impl Found<'_> {
+    /// The most of any volume.
+    fn bands(self) -> u32 {
+        match self {
+            Found::Volume(volume) => volume.header().bands,
+            Found::Set(set) => set.volumes().map(|volume| volume.header().bands).max().unwrap_or(0),
+        }
+    }
+
+    /// Variance of E of the nodes of each volume; `None` where one holds no standard errors.
+    fn variances(self) -> Option<Vec<Vec<f64>>> {
+        match self {
+            Found::Volume(volume) => Some(vec![node_variances(volume)?]),
+            Found::Set(set) => set.volumes().map(node_variances).collect(),
+        }
+    }
+}
 
 /// How to compare.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -148,9 +188,14 @@ impl std::fmt::Display for NothingCompared {
 }
 
 /// Compares `found` with every set of `truths`, and with all together.
-pub fn compare(found: &Volume, truths: &[Truth], settings: &CompareSettings) -> Result<Comparison, NothingCompared> {
+pub fn compare<'a>(
+    found: impl Into<Found<'a>>,
+    truths: &[Truth],
+    settings: &CompareSettings,
+) -> Result<Comparison, NothingCompared> {
+    let found = found.into();
     let directions = ErrorDirections::new();
-    let variances = node_variances(found);
+    let variances = found.variances();
     let mut places = Places::default();
     let (mut all, mut compared, mut sets) = (Tally::default(), Vec::new(), Vec::new());
     let mut noise_unknown = Vec::new();
@@ -170,7 +215,7 @@ pub fn compare(found: &Volume, truths: &[Truth], settings: &CompareSettings) -> 
             };
             places.compared += 1;
             places.filled += usize::from(sample.filled);
-            let bands = found.header().bands;
+            let bands = found.bands();
             let variance = match (sample.variance, truth_variance(truth, place, bands)) {
                 (Some(found), Some(truth)) if reasons.is_empty() => Some(found + truth),
                 _ => None,
@@ -190,7 +235,7 @@ pub fn compare(found: &Volume, truths: &[Truth], settings: &CompareSettings) -> 
         return Err(NothingCompared(places));
     }
     let (error, per_node) = all.finish();
-    let bands = BandsCompared { found: found.header().bands, truth: truths.iter().filter_map(highest_band).max() };
+    let bands = BandsCompared { found: found.bands(), truth: truths.iter().filter_map(highest_band).max() };
     Ok(Comparison { bands, places, all: error, noise_unknown, sets, worst: worst(&compared, &per_node) })
 }
 
@@ -205,10 +250,10 @@ pub(super) struct Met {
 
 /// The places that [`compare`] compares, in its order.
 pub(super) fn meet(found: &Volume, truths: &[Truth]) -> Result<Vec<Met>, NothingCompared> {
-    let variances = node_variances(found);
+    let variances = Found::Volume(found).variances();
     let mut met = Vec::new();
     for truth in truths {
-        let sampler = Sampler::new(found, truth, variances.as_deref());
+        let sampler = Sampler::new(found.into(), truth, variances.as_deref());
         for place in (0..truth.positions.len()).filter(|&place| truth.is_valid(place)) {
             let Some(sample) = sampler.sample(truth, place) else { continue };
             met.push(Met {
@@ -269,61 +314,83 @@ struct Sampled {
 
 /// Asks a volume at the places of one set.
 struct Sampler<'a> {
-    found: &'a Volume,
-    variances: Option<&'a [f64]>,
+    found: Found<'a>,
+    variances: Option<&'a [Vec<f64>]>,
     answer: Answer,
     /// Nodes this near are at the place, metres.
     reach: f64,
 }
 
 impl<'a> Sampler<'a> {
-    fn new(found: &'a Volume, truth: &Truth, variances: Option<&'a [f64]>) -> Sampler<'a> {
-        let mut sampler = Sampler { found, variances, answer: Answer::SameNodes, reach: reach(&truth.positions) };
-        let places = 0..truth.positions.len();
-        let same = found.node_count() == places.len() && places.clone().all(|i| sampler.holds(i, truth, i));
-        if !same {
-            sampler.answer = if found.grid().is_some() { Answer::Interpolated } else { Answer::Held };
+    fn new(found: Found<'a>, truth: &Truth, variances: Option<&'a [Vec<f64>]>) -> Sampler<'a> {
+        let mut sampler = Sampler { found, variances, answer: Answer::Interpolated, reach: reach(&truth.positions) };
+        if let Found::Volume(found) = found {
+            let mut places = 0..truth.positions.len();
+            let same = found.node_count() == places.len() && places.all(|i| sampler.holds(found, i, truth, i));
+            sampler.answer = match found.grid() {
+                _ if same => Answer::SameNodes,
+                Some(_) => Answer::Interpolated,
+                None => Answer::Held,
+            };
         }
         sampler
     }
 
     /// Whether node `node` is at the place and faces as it does.
-    fn holds(&self, node: usize, truth: &Truth, place: usize) -> bool {
-        let faces = match (self.found.node_normal(node), truth.normals.get(place)) {
+    fn holds(&self, found: &Volume, node: usize, truth: &Truth, place: usize) -> bool {
+        let faces = match (found.node_normal(node), truth.normals.get(place)) {
             (Some(a), Some(b)) => a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>() >= SAME_NORMAL,
             _ => true,
         };
-        faces && distance(self.found.node_position(node), truth.positions[place]) <= self.reach
+        faces && distance(found.node_position(node), truth.positions[place]) <= self.reach
     }
 
     /// `None` where the volume has no light of that place.
     fn sample(&self, truth: &Truth, place: usize) -> Option<Sampled> {
         let position = truth.positions[place];
-        let node = match self.answer {
-            Answer::Interpolated => {
-                let sample = self.found.sample_f64(position, [0.0; 3]);
-                let variance = self.variances.map(|variances| sample_variance(self.found, variances, position));
-                return sample.inside.then_some(Sampled {
-                    radiance: sample.sh,
-                    filled: sample.validity == 0.0,
-                    variance,
-                });
-            }
-            Answer::SameNodes => place,
-            Answer::Held => {
+        let node = match (self.answer, self.found) {
+            (Answer::SameNodes, Found::Volume(_)) => place,
+            (Answer::Held, Found::Volume(found)) => {
                 let normal = truth.normals.get(place).copied().unwrap_or_default();
-                self.found.nearest_node(position, normal).filter(|&node| self.holds(node, truth, place))?
+                found.nearest_node(position, normal).filter(|&node| self.holds(found, node, truth, place))?
             }
+            _ => return self.interpolate(position),
         };
+        let Found::Volume(found) = self.found else { return None };
         Some(Sampled {
-            radiance: self.found.node_sh(node),
-            filled: !self.found.is_valid(node),
-            variance: self.variances.map(|variances| variances[node]),
+            radiance: found.node_sh(node),
+            filled: !found.is_valid(node),
+            variance: self.variances.map(|variances| variances[0][node]),
         })
     }
 
+    /// Between nodes; `None` outside all boxes.
+    fn interpolate(&self, position: [f64; 3]) -> Option<Sampled> {
+        let normal = [0.0; 3];
+        let (sample, variance) = match self.found {
+            Found::Volume(found) => {
+                let variance = self.variances.map(|variances| sample_variance(found, &variances[0], position));
+                (found.sample_f64(position, normal), variance)
+            }
+            Found::Set(set) => {
+                let of_share = |share: Share, variances: &[Vec<f64>]| {
+                    let volume = set.volumes().nth(share.volume)?;
+                    let variance = sample_variance(volume, &variances[share.volume], position);
+                    Some(f64::from(share.weight).powi(2) * variance)
+                };
+                let variance =
+                    |variances: &'a [Vec<f64>]| set.shares(position).filter_map(|s| of_share(s, variances)).sum();
+                (set.sample_f64(position, normal), self.variances.map(variance))
+            }
+        };
+        let filled = sample.validity == 0.0;
+        sample.inside.then_some(Sampled { radiance: sample.sh, filled, variance })
+    }
+
     fn noise_unknown(&self, truth: &Truth, settings: &CompareSettings) -> Vec<NoiseUnknown> {
-        let common = settings.common_seed && self.answer == Answer::SameNodes;
+        // Nodes of a set that are at places of the truth are not told from others.
+        let is_set = matches!(self.found, Found::Set(_));
+        let common = settings.common_seed && (is_set || self.answer == Answer::SameNodes);
         let reasons = [
             (self.variances.is_none(), NoiseUnknown::Found),
             (truth.noise == TruthNoise::Unknown, NoiseUnknown::Truth),

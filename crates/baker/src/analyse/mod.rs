@@ -12,7 +12,7 @@ mod truth;
 
 pub use calibration::{Calibration, calibrate};
 pub use compare::{
-    Answer, BandsCompared, CompareSettings, Comparison, NoiseUnknown, NothingCompared, Places, SetComparison,
+    Answer, BandsCompared, CompareSettings, Comparison, Found, NoiseUnknown, NothingCompared, Places, SetComparison,
     WorstPlace, compare,
 };
 pub use coverage::{Coverage, CoveragePaint, CoverageView, Covered, PixelSize, Viewpoint, coverage};

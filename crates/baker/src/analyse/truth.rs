@@ -1,6 +1,6 @@
 //! What a volume is compared with: light at places, and how sure it is.
 
-use gdibl_runtime::{RadianceSh, Volume};
+use gdibl_runtime::{RadianceSh, Volume, VolumeSet};
 
 use super::noise::node_variances;
 
@@ -61,6 +61,19 @@ impl Truth {
             light: TruthLight::Radiance(nodes().map(|n| volume.node_sh(n)).collect()),
             noise: node_variances(volume).map_or(TruthNoise::Unknown, TruthNoise::Variance),
         }
+    }
+
+    /// The nodes of a set's volumes, a truth for each in the set's order: those that nothing of another volume is blended
+    /// into, so that they are what one reads there.
+    pub fn of_set(set: &VolumeSet) -> Vec<Truth> {
+        let of_volume = |(place, volume): (usize, &Volume)| {
+            let mut truth = Truth::of_volume(volume);
+            let is_alone = |position: &[f64; 3]| set.shares(*position).all(|share| share.volume == place);
+            let alone: Vec<bool> = truth.positions.iter().map(is_alone).collect();
+            truth.valid.iter_mut().zip(alone).for_each(|(valid, alone)| *valid &= alone);
+            truth
+        };
+        set.volumes().enumerate().map(of_volume).collect()
     }
 
     /// Whether place `index` counts.

@@ -32,9 +32,9 @@ pub use integrate::{INTERVAL_95, WHOLE_INTERVAL_95};
 pub(crate) use irradiance::{Irradiance, difference, irradiance_of, root_mean_square, strength};
 pub use nodes::{Nodes, SparseGrid, VertexSet, grid_of_counts, grid_of_nodes, grid_of_spacing, widest_spacing};
 use sample::{Batch, Sampled, Scale};
-pub use sealed::is_sealed;
+pub use sealed::Shells;
 pub use sparse::{bake_sparse, grid_of_cells, levels_of};
-pub use standing::Standing;
+pub use standing::{Standing, any_open};
 use summary::Summary;
 use systematic::systematic_errors;
 

@@ -17,15 +17,9 @@ use crate::trace::{Frame, Tree};
 const DIRECTIONS: [Vec3; 3] =
     [Vec3::new(0.7312, 0.4121, 0.5437), Vec3::new(-0.3127, 0.8219, -0.4762), Vec3::new(0.2911, -0.6173, 0.7309)];
 
-/// No node sees what is beyond the level.
-pub fn is_sealed(nodes: &Nodes, scene: &Scene) -> bool {
-    let shells = Shells::of(scene);
-    !shells.of_triangle.is_empty()
-        && (0..nodes.len()).into_par_iter().all(|node| shells.enclose(nodes.ray_origin(node, &shells.frame)))
-}
-
 /// The triangles of closed, opaque parts of a level.
-struct Shells {
+#[derive(Debug)]
+pub struct Shells {
     frame: Frame,
     tree: Tree,
     corners: Vec<[Vec3; 3]>,
@@ -34,7 +28,8 @@ struct Shells {
 }
 
 impl Shells {
-    fn of(scene: &Scene) -> Shells {
+    /// Those of a level.
+    pub fn of(scene: &Scene) -> Shells {
         // Corners that lie in one place are one.
         let mut places: HashMap<[u64; 3], u32> = HashMap::new();
         let mut parts = Disjoint::default();
@@ -82,6 +77,12 @@ impl Shells {
             }
         }
         Shells { frame, tree: Tree::build(&corners), corners, of_triangle, count: numbers.len() }
+    }
+
+    /// No node sees what is beyond the level.
+    pub fn seal(&self, nodes: &Nodes) -> bool {
+        !self.of_triangle.is_empty()
+            && (0..nodes.len()).into_par_iter().all(|node| self.enclose(nodes.ray_origin(node, &self.frame)))
     }
 
     /// One of them winds round a place (trace space), whichever way one looks.

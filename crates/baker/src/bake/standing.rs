@@ -9,6 +9,7 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::{Nodes, SparseGrid};
 use crate::radiance::{RadianceFunction, SOLID_BACKS};
@@ -185,6 +186,19 @@ impl Sites {
         let open = self.moved.iter().filter(|(node, _)| self.standing[*node as usize] == Standing::Open);
         open.map(|&(node, place)| (node, function.frame().to_world(place))).collect()
     }
+}
+
+/// Some node is in the open, as far as a look around tells.
+pub fn any_open(nodes: &Nodes, function: &impl RadianceFunction, cancel: &AtomicBool) -> Result<bool, Interrupted> {
+    let origin = |node: usize| nodes.ray_origin(node, function.frame());
+    let is_open = |around: &mut Around, node: usize| {
+        let is_cancelled = cancel.load(Ordering::Relaxed);
+        is_cancelled || around.settle(origin(node)).standing == Standing::Open
+    };
+    let start = || Around::new(nodes, function);
+    let found =
+        function.level().is_empty() || (0..nodes.len()).into_par_iter().map_init(start, is_open).any(|open| open);
+    if cancel.load(Ordering::Relaxed) { Err(Interrupted) } else { Ok(found) }
 }
 
 /// Looking around, with what is the same for all nodes.

@@ -10,12 +10,15 @@ use crate::Finding;
 use crate::radiance::Distant;
 use crate::radiance::gdibl::Probe;
 use crate::scene::{Mesh, Role, Scene};
+use crate::trace::Trees;
 
 /// What a bake is made from, as values.
 #[derive(Debug, Clone)]
 pub struct Inputs {
     /// The level.
     pub scene: Scene,
+    /// Its surfaces, for all that trace rays in it. Whoever changes the scene puts new ones here.
+    pub trees: Trees,
     /// Its name in messages and records.
     pub level: String,
     /// Light probes.
@@ -39,6 +42,7 @@ impl Inputs {
     pub fn new(scene: Scene) -> Inputs {
         Inputs {
             scene,
+            trees: Trees::default(),
             level: String::new(),
             probes: Vec::new(),
             distant: None,

@@ -2,7 +2,7 @@
 //! records out, ready to be packed.
 //!
 //! A job is prepared first: everything that makes no sense is refused before the first ray. Its plan can be asked for, and
-//! comes from the stages that decide. Then it runs.
+//! comes from the stages that decide. Then it runs. [`Volumes`] are the jobs of a level whose nodes place several boxes.
 
 pub mod bands;
 mod inputs;
@@ -14,16 +14,19 @@ mod spacing;
 mod statistics;
 mod stop;
 mod text;
+mod volumes;
 mod work;
 
 use gdibl_runtime::Volume;
 use gdibl_runtime::grid::Grid;
+use std::cell::LazyCell;
 
-use crate::bake::{self, Baked, Nodes};
+use crate::bake::{self, Baked, Nodes, Shells};
 use crate::exposure::{ExposureMatch, match_exposure};
 use crate::pack::{PackSettings, Sections, pack, sections};
 use crate::radiance::RadianceFunction;
 use crate::radiance::unseen::UNSEEN_PLACES;
+use crate::scene::VolumeMarker;
 use crate::seen::{self, HeldOut};
 use crate::{Control, Finding, Interrupted};
 use bands::Truncation;
@@ -36,6 +39,7 @@ pub use statistics::check_valid;
 use statistics::{blurred_sun, findings_of, probe_records};
 pub use stop::Stop;
 pub use text::{Bands, Method, NodeKind, Punctual, SunLight, Text};
+pub use volumes::{Listed, Volumes, Wanted, wanted_of};
 pub use work::{Decided, Stage, Viewers, Watch, Work, with_function};
 
 /// What `--sh auto` allows fewer bands to lose where no tolerance is given.
@@ -62,6 +66,37 @@ pub struct Job {
     sealed: Option<PlanRow>,
 }
 
+/// What a job has of its own, beside what it shares with those of the level's other volumes.
+#[derive(Debug)]
+struct Own {
+    settings: Settings,
+    nodes: Nodes,
+    is_open: bool,
+    bounds: PlanRow,
+    sealed: Option<PlanRow>,
+    /// What is wrong with where its nodes are.
+    findings: Vec<Finding>,
+}
+
+impl Own {
+    /// Places the nodes, in the box of one of the `markers` where these are not overruled.
+    fn place(
+        inputs: &Inputs,
+        settings: Settings,
+        markers: &[VolumeMarker],
+        shells: &LazyCell<Shells, impl FnOnce() -> Shells>,
+        memory: Memory,
+    ) -> Result<Own, Stop> {
+        let Placed { nodes, is_open, row: bounds, findings } =
+            nodes::nodes_of(&settings, &inputs.scene, markers, &inputs.places, &inputs.level)?;
+        memory.check(&nodes, &settings)?;
+        // Nothing asks for what no node can see.
+        let sealed = inputs.distant.as_ref().filter(|_| shells.seal(&nodes));
+        let sealed = sealed.map(|distant| plan::sealed_distant(&distant.name));
+        Ok(Own { settings, nodes, is_open, bounds, sealed, findings })
+    }
+}
+
 /// A baked volume with everything that is told about it.
 #[derive(Debug)]
 pub struct Made {
@@ -84,27 +119,17 @@ impl Job {
     /// # Errors
     /// What makes no sense, before anything long has begun.
     pub fn prepare(mut inputs: Inputs, settings: Settings, memory: Memory) -> Result<Job, Stop> {
-        settings.check().map_err(|out| Stop::Usage(format!("{} {}", out.flag, out.message)))?;
-        let method = inputs.method(&settings);
-        let mut exposure = None;
-        if method == Method::Gdibl && settings.quality.match_exposure {
-            let matched = match_exposure(&inputs.scene, &inputs.probes);
-            matched.apply(&mut inputs.probes);
-            inputs.findings.extend(matched.findings());
-            exposure = Some(matched);
-        }
-        let sun = match settings.quality.sun {
-            SunLight::Include => None,
-            SunLight::Extract => extract_sun(&mut inputs)?,
-        };
-        let Placed { nodes, is_open, row: bounds, findings } =
-            nodes::nodes_of(&settings, &inputs.scene, &inputs.places, &inputs.level)?;
+        let light = prepare_light(&mut inputs, &settings)?;
+        let scene = &inputs.scene;
+        let shells = LazyCell::new(|| Shells::of(scene));
+        let own = Own::place(&inputs, settings, &scene.volume_markers, &shells, memory)?;
+        Ok(Job::of(inputs, light, own, memory))
+    }
+
+    fn of(mut inputs: Inputs, (sun, exposure): PreparedLight, own: Own, memory: Memory) -> Job {
+        let Own { settings, nodes, is_open, bounds, sealed, findings } = own;
         inputs.findings.extend(findings);
-        memory.check(&nodes, &settings)?;
-        // Nothing asks for what no node can see.
-        let sealed = inputs.distant.as_ref().filter(|_| bake::is_sealed(&nodes, &inputs.scene));
-        let sealed = sealed.map(|distant| plan::sealed_distant(&distant.name));
-        Ok(Job { inputs, settings, memory, nodes, is_open, bounds, sun, exposure, sealed })
+        Job { inputs, settings, memory, nodes, is_open, bounds, sun, exposure, sealed }
     }
 
     /// Where light will be baked.
@@ -151,20 +176,28 @@ impl Job {
     /// # Errors
     /// No node has light of its own, or the caller cancelled.
     pub fn run(mut self, watch: &Watch) -> Result<Made, Stop> {
+        self.bake(watch)
+    }
+
+    /// The same, of a job whose inputs are needed again. Its settings become those that a budget came to.
+    ///
+    /// # Errors
+    /// No node has light of its own, or the caller cancelled.
+    pub fn bake(&mut self, watch: &Watch) -> Result<Made, Stop> {
         if let Some(budget) = self.settings.grid.budget {
             self.fit(budget, watch)?;
         }
         let (method, mut rows) = (self.method(), self.first_rows());
         (watch.stage)(Stage::Prepare);
         let sample =
-            Sample { job: &self, settings: &self.settings, importance: true, searches: self.searches(), watch };
+            Sample { job: self, settings: &self.settings, importance: true, searches: self.searches(), watch };
         let sampled = self.with_function(&self.settings, sample)?;
         let Sampled { nodes, mut baked, sparse, held_out, decided, stages } = sampled;
         check_valid(&baked).map_err(Stop::Nothing)?;
         bake::check_finite(nodes.as_ref().unwrap_or(&self.nodes), &baked, &self.inputs.scene)
             .map_err(|why| Stop::Invalid(format!("{}: {why}", self.inputs.level)))?;
         rows.extend(decided.rows);
-        let nodes = nodes.unwrap_or(self.nodes);
+        let nodes = nodes.unwrap_or_else(|| self.nodes.clone());
         let Settings { grid, quality, .. } = &self.settings;
         let truncations = bands::truncations(&baked);
         if quality.sh == Bands::Auto {
@@ -186,14 +219,15 @@ impl Job {
         let statistics =
             StatisticsRecord { sun: self.sun, sparse, findings, stages, seen, ..StatisticsRecord::of(&baked) };
         let probes = probe_records(&self.inputs.probes, distant);
-        let Inputs { level, files, program, .. } = self.inputs;
+        let Inputs { level, files, program, .. } = &self.inputs;
         let records = Records {
-            settings: Some(settings_record(&self.settings, method, &nodes, level, files, program)),
+            settings: Some(settings_record(&self.settings, method, &nodes, level, files.clone(), program.clone())),
             probes,
             statistics: Some(statistics),
             plan: rows,
         };
-        Ok(Made { nodes, baked, records, truncations, exposure: self.exposure, settings: self.settings })
+        let (exposure, settings) = (self.exposure.clone(), self.settings.clone());
+        Ok(Made { nodes, baked, records, truncations, exposure, settings })
     }
 
     /// Samples the nodes by the method and with the numbers of `settings`, which may differ from the job's in what does
@@ -512,6 +546,26 @@ impl Memory {
     }
 }
 
+/// The sun that was taken out, and how exposures were matched.
+type PreparedLight = (Option<SunRecord>, Option<ExposureMatch>);
+
+/// Checks the settings, and prepares the light as they say: takes out a sun, and matches exposures.
+fn prepare_light(inputs: &mut Inputs, settings: &Settings) -> Result<PreparedLight, Stop> {
+    settings.check().map_err(|out| Stop::Usage(format!("{} {}", out.flag, out.message)))?;
+    let mut exposure = None;
+    if inputs.method(settings) == Method::Gdibl && settings.quality.match_exposure {
+        let matched = match_exposure(&inputs.scene, &inputs.probes);
+        matched.apply(&mut inputs.probes);
+        inputs.findings.extend(matched.findings());
+        exposure = Some(matched);
+    }
+    let sun = match settings.quality.sun {
+        SunLight::Include => None,
+        SunLight::Extract => extract_sun(inputs)?,
+    };
+    Ok((sun, exposure))
+}
+
 /// Takes the sun out of what nodes see of the distant panorama; `None`, with a finding, where no sun stands out.
 fn extract_sun(inputs: &mut Inputs) -> Result<Option<SunRecord>, Stop> {
     let Some(distant) = &mut inputs.distant else {
@@ -530,7 +584,7 @@ fn settings_record(
     settings: &Settings,
     method: Method,
     nodes: &Nodes,
-    level: String,
+    level: &str,
     inputs: Vec<InputRecord>,
     [writer, commit]: [String; 2],
 ) -> SettingsRecord {
@@ -542,7 +596,7 @@ fn settings_record(
     }
     let quality = &settings.quality;
     // Records must not depend on where a level lies.
-    let level = std::path::Path::new(&level).file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let level = std::path::Path::new(level).file_name().unwrap_or_default().to_string_lossy().into_owned();
     SettingsRecord {
         writer,
         level,

@@ -12,7 +12,7 @@ use super::text::NodeKind;
 use crate::Finding;
 use crate::air::Air;
 use crate::bake::{Nodes, grid_of_cells, grid_of_counts, grid_of_nodes, grid_of_spacing, widest_spacing};
-use crate::scene::Scene;
+use crate::scene::{Scene, VolumeMarker};
 
 /// Nodes farther apart than this share of the height of rooms miss what light does in them.
 const WIDE_INDOORS: f64 = 0.5;
@@ -33,8 +33,15 @@ pub(super) struct Placed {
     pub findings: Vec<Finding>,
 }
 
-/// The nodes that the settings ask for. `places` are those of `--nodes points:FILE`, `level` names the level.
-pub(super) fn nodes_of(settings: &Settings, scene: &Scene, places: &[DVec3], level: &str) -> Result<Placed, Stop> {
+/// The nodes that the settings ask for, in the box of a marker where there is one. `places` are those of `--nodes points:FILE`,
+/// `level` names the level.
+pub(super) fn nodes_of(
+    settings: &Settings,
+    scene: &Scene,
+    markers: &[VolumeMarker],
+    places: &[DVec3],
+    level: &str,
+) -> Result<Placed, Stop> {
     let grid = &settings.grid;
     let by_grid = [&grid.max_nodes, &grid.max_bytes].into_iter().any(Option::is_some)
         || [&grid.spacing, &grid.tolerance, &grid.budget].into_iter().any(Option::is_some)
@@ -43,7 +50,7 @@ pub(super) fn nodes_of(settings: &Settings, scene: &Scene, places: &[DVec3], lev
     let without_box =
         |nodes| Placed { nodes, is_open: false, row: plan::bounds_given("nodes are no grid"), findings: Vec::new() };
     match &grid.nodes {
-        NodeKind::Grid => grid_of(grid, scene, level),
+        NodeKind::Grid => grid_of(grid, scene, markers, level),
         kind if by_grid => Err(Stop::Usage(format!(
             "--bounds, --spacing, --counts, --max-nodes, --max-bytes, --budget and --tolerance belong to --nodes grid; \
              here it is {kind}"
@@ -59,7 +66,12 @@ pub(super) fn nodes_of(settings: &Settings, scene: &Scene, places: &[DVec3], lev
     }
 }
 
-fn grid_of(settings: &GridSettings, scene: &Scene, level: &str) -> Result<Placed, Stop> {
+fn grid_of(
+    settings: &GridSettings,
+    scene: &Scene,
+    markers: &[VolumeMarker],
+    level: &str,
+) -> Result<Placed, Stop> {
     let GridSettings { bounds, spacing, counts, tolerance, .. } = settings;
     if spacing.is_some() && counts.is_some() {
         return Err(Stop::Usage("spacing and counts contradict each other: give one of them".into()));
@@ -75,13 +87,13 @@ fn grid_of(settings: &GridSettings, scene: &Scene, level: &str) -> Result<Placed
             "--max-bytes and --budget choose the spacing of a dense grid; leave out --tolerance".into(),
         ));
     }
-    let marker = match &scene.volume_markers[..] {
+    let marker = match markers {
         [] => None,
         _ if bounds.is_some() => None,
         [marker] => Some(marker),
         several => {
             return Err(Stop::Usage(format!(
-                "{level}: {} nodes carry gdibl_volume, and one bake makes one volume; choose a box with --bounds",
+                "{level}: {} nodes carry gdibl_volume, and this makes one volume; choose a box with --bounds",
                 several.len()
             )));
         }

@@ -49,7 +49,34 @@ impl Row {
     pub fn full_name(&self) -> String {
         format!("{}.{}", self.section, self.name)
     }
+
+    /// Each volume of a level may have its own; the others belong to the level, its light and its probes.
+    pub fn is_of_volumes(&self) -> bool {
+        OF_VOLUMES.contains(&(self.section, self.name))
+    }
 }
+
+/// What each volume of a level may have of its own.
+const OF_VOLUMES: &[(&str, &str)] = &[
+    ("grid", "counts"),
+    ("grid", "tolerance"),
+    ("quality", "samples"),
+    ("quality", "target_error"),
+    ("quality", "seen_places"),
+    ("quality", "max_seen_error"),
+    ("quality", "seed"),
+    ("quality", "sampler"),
+    ("quality", "bounces"),
+    ("quality", "punctual"),
+    ("quality", "clamp"),
+    ("quality", "scene"),
+    ("quality", "sh"),
+    ("quality", "precision"),
+    ("quality", "zstd"),
+    ("quality", "coefficient_errors"),
+    ("quality", "dering"),
+    ("quality", "blend"),
+];
 
 /// A value out of its range: the name of the setting in full, and what is wrong.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -427,6 +454,11 @@ mod tests {
         assert_eq!(names.len(), ROWS.len());
         let why = Settings::default().set("quality", "sample", &["1"]).unwrap_err();
         assert!(why.contains("samples") && why.contains("target_error") && !why.contains("spacing"), "{why}");
+    }
+
+    #[test]
+    fn what_volumes_may_have_of_their_own_are_settings() {
+        assert_eq!(ROWS.iter().filter(|row| row.is_of_volumes()).count(), OF_VOLUMES.len());
     }
 
     #[test]

@@ -107,14 +107,14 @@ pub fn with_function<W: Work>(
     };
     if inputs.method(settings) == Method::Gdibl {
         let own = settings.gdibl(inputs.captured, viewers.directions, viewers.coarsest);
-        let mut function = Gdibl::new(scene, &inputs.probes, distant, own);
+        let mut function = Gdibl::sharing(&inputs.trees, scene, &inputs.probes, distant, own);
         if !inputs.probes.is_empty() {
             function.choose_unseen(settings.quality.unseen, &viewers.places);
         }
         let rows = without_sealed(plan::plan(scene, &function));
         work.run(&function, Decided { rows, findings: Vec::new() })
     } else {
-        let function = Path::new(scene, distant, settings.path());
+        let function = Path::sharing(&inputs.trees, scene, distant, settings.path());
         let rows = without_sealed(plan::plan_path(scene, &function));
         let findings = light_without_end(scene, &function).into_iter().collect();
         work.run(&function, Decided { rows, findings })

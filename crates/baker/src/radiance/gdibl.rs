@@ -23,7 +23,7 @@ use super::unseen::{Agreement, Compared, Unseen, UnseenChoice, curve_of};
 use super::{Audit, PathContext, Radiance, RadianceFunction, Seen, number_of_place};
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams, uniform_sphere};
 use crate::scene::{Role, Scene};
-use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Scattered, Surfaces, counts_before, search_limit};
+use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Scattered, Surfaces, Trees, counts_before, search_limit};
 
 pub use super::probe::Probe;
 
@@ -197,7 +197,8 @@ pub struct Gdibl<'a> {
     scene: &'a Scene,
     frame: Frame,
     environment: Option<Arc<Surfaces>>,
-    objects: Option<Surfaces>,
+    objects: Option<Arc<Surfaces>>,
+    trees: Trees,
     /// Trace units; see [`GdiblSettings::coarsest`].
     coarsest: f32,
     distant: Option<&'a Distant>,
@@ -259,10 +260,21 @@ impl<'a> Gdibl<'a> {
         distant: Option<&'a Distant>,
         settings: GdiblSettings,
     ) -> Gdibl<'a> {
+        Gdibl::sharing(&Trees::default(), scene, probes, distant, settings)
+    }
+
+    /// The same by the hierarchies of the scene that are among `trees`, where they are kept.
+    pub fn sharing(
+        trees: &Trees,
+        scene: &'a Scene,
+        probes: &'a [Probe],
+        distant: Option<&'a Distant>,
+        settings: GdiblSettings,
+    ) -> Gdibl<'a> {
         let frame = Frame::of_scene(scene);
         let placed: Vec<PlacedProbe> = probes.iter().map(|probe| PlacedProbe::new(probe, &frame)).collect();
-        let environment = Surfaces::new(scene, |mesh| mesh.role == Role::Environment, &frame).map(Arc::new);
-        let objects = Surfaces::new(scene, |mesh| mesh.role == Role::Scene, &frame);
+        let [environment, objects] =
+            [Role::Environment, Role::Scene].map(|role| trees.surfaces(scene, Some(role), &frame));
         let coarsest = (f64::from(settings.coarsest) * frame.scale) as f32;
         let positions: Vec<Vec3> = placed.iter().map(|probe| probe.position).collect();
         let sees_all = environment.as_ref().map_or_else(Vec::new, |surfaces| surfaces.seen_whole_from(&positions));
@@ -275,7 +287,7 @@ impl<'a> Gdibl<'a> {
         let targets = objects.as_ref().filter(|objects| effects.is_some() && objects.len() <= MOST_DRAWN);
         let targets = targets.and_then(|objects| Emitters::new(targets_of(scene, objects)));
         let mut emitters =
-            bright_triangles(scene, &environment.as_deref().into_iter().chain(&objects).collect::<Vec<_>>());
+            bright_triangles(scene, &environment.as_deref().into_iter().chain(objects.as_deref()).collect::<Vec<_>>());
         let is_emissive = emitters.iter().any(|own| !own.is_empty());
         let mut regions = Regions::default();
         if let Some(environment) = &environment {
@@ -294,6 +306,7 @@ impl<'a> Gdibl<'a> {
             frame,
             environment,
             objects,
+            trees: trees.clone(),
             coarsest,
             distant,
             unseen: UnseenChoice::fill("not chosen"),
@@ -387,7 +400,7 @@ impl<'a> Gdibl<'a> {
         }
         let all = match &self.objects {
             None => Some(environment.clone()),
-            Some(_) => Surfaces::new(self.scene, |_| true, &self.frame).map(Arc::new),
+            Some(_) => self.trees.surfaces(self.scene, None, &self.frame),
         };
         let numbers = self.objects.as_ref().zip(all.as_deref());
         let numbers = numbers.map(|(objects, all)| [environment.as_ref(), objects].map(|own| own.numbers_among(all)));
@@ -1038,7 +1051,7 @@ impl RadianceFunction for Gdibl<'_> {
     }
 
     fn level(&self) -> Level<'_> {
-        Level::new(self.scene, [self.environment.as_deref(), self.objects.as_ref()])
+        Level::new(self.scene, [self.environment.as_deref(), self.objects.as_deref()])
     }
 
     fn guide(&self) -> &Guide {
@@ -1102,7 +1115,7 @@ impl RadianceFunction for Gdibl<'_> {
     fn punctual(&self, origin: Vec3, context: &mut PathContext, mut add: impl FnMut(Vec3, Vec3)) {
         for arriving in self.punctual.arriving(origin) {
             let mut clear = Vec3::ONE;
-            for surfaces in self.environment.as_deref().into_iter().chain(&self.objects) {
+            for surfaces in self.environment.as_deref().into_iter().chain(self.objects.as_deref()) {
                 context.rays += 1;
                 clear *= match arriving.position {
                     Some(position) => surfaces.transmittance(self.scene, origin, position, None),

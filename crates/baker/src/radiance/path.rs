@@ -20,7 +20,7 @@ use super::{MOST_SURVIVAL, PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Material, Metals, Role, Scene};
-use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces};
+use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces, Trees};
 
 /// How paths are traced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,9 +77,13 @@ impl<'a> Path<'a> {
     /// Builds the hierarchy. `scene` must have been read with
     /// [`TextureNeeds::All`](crate::import::gltf::TextureNeeds::All).
     pub fn new(scene: &'a Scene, distant: Option<&'a Distant>, settings: PathSettings) -> Path<'a> {
-        let frame = Frame::of_scene(scene);
-        let surfaces = Surfaces::new(scene, |mesh| settings.scene_geometry || mesh.role == Role::Environment, &frame);
-        Path::over(surfaces.map(Arc::new), scene, distant, settings)
+        Path::sharing(&Trees::default(), scene, distant, settings)
+    }
+
+    /// The same by the hierarchy of the scene that is among `trees`, where it is kept.
+    pub fn sharing(trees: &Trees, scene: &'a Scene, distant: Option<&'a Distant>, settings: PathSettings) -> Path<'a> {
+        let role = (!settings.scene_geometry).then_some(Role::Environment);
+        Path::over(trees.surfaces(scene, role, &Frame::of_scene(scene)), scene, distant, settings)
     }
 
     /// Over surfaces of the scene that are there already, in the frame of all of it.

@@ -15,6 +15,7 @@ mod star;
 mod surface;
 mod traverse;
 mod tree;
+mod trees;
 mod triangle;
 mod twins;
 
@@ -26,6 +27,7 @@ pub use level::{Level, Met};
 pub use shaft::Sight;
 pub use surface::Scattered;
 pub use tree::Tree;
+pub use trees::Trees;
 pub use triangle::TreeHit;
 use twins::Twins;
 

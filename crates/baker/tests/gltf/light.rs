@@ -4,9 +4,7 @@
 //! passes. The values are computed here from the specifications' formulas.
 
 use gdibl_baker::Control;
-use gdibl_baker::bake::{
-    BakeSettings, GatherSettings, Nodes, SurfacePlace, bake, check_finite, irradiance_at, is_sealed,
-};
+use gdibl_baker::bake::{BakeSettings, GatherSettings, Nodes, Shells, SurfacePlace, bake, check_finite, irradiance_at};
 use gdibl_baker::capture::{CaptureSettings, capture};
 use gdibl_baker::import::gltf::{GltfOptions, TextureNeeds};
 use gdibl_baker::panorama::Panorama;
@@ -529,7 +527,7 @@ fn a_skin_of_scene_geometry_hides_no_front_of_the_environment() {
 #[test]
 fn walls_that_let_light_through_seal_nothing() {
     let nodes = Nodes::Points(vec![PLACE]);
-    let is_sealed = |material: Value| is_sealed(&nodes, &room(material).read_all().unwrap());
+    let is_sealed = |material: Value| Shells::of(&room(material).read_all().unwrap()).seal(&nodes);
     assert!(is_sealed(grey(0.5, 0.0)));
     assert!(!is_sealed(glass([1.0; 3], json!({ "transmissionFactor": 0.1 }))));
     let mut curtain = grey(0.5, 0.0);

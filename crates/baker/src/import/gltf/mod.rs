@@ -130,7 +130,7 @@ pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<S
 
     let nodes = hierarchy::place_nodes(&document, options.scene, &mut findings)?;
     let lights = lights::read(&document, &nodes, options.lumens_per_watt, &mut findings)?;
-    let (probe_markers, volume_markers) = markers::read(&document, &nodes)?;
+    let (probe_markers, volume_markers) = markers::read(&document, &nodes, &mut findings)?;
 
     let drafts = material::read(&document, options.metals, &mut findings)?;
     let objects = has_objects(&document, &nodes)?;

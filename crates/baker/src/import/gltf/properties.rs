@@ -8,7 +8,10 @@ use crate::scene::Role;
 use crate::{Error, Result};
 
 /// What is read on nodes; on meshes and materials, of these, the role.
-const KEYS: [&str; 3] = [ROLE, "gdibl_probe", "gdibl_volume"];
+pub(super) const KEYS: [&str; 3] = [ROLE, "gdibl_probe", VOLUME];
+const VOLUME: &str = "gdibl_volume";
+/// How our properties begin.
+pub(super) const OURS: &str = "gdibl_";
 pub(super) const ROLE: &str = "gdibl_role";
 
 /// What a role says.
@@ -100,9 +103,12 @@ const NAMED: usize = 20;
 
 fn check_extras(extras: &Value, place: &str, known: &[&str], unknown: &mut Vec<String>) {
     let Some(extras) = extras.as_object() else { return };
+    // Who bakes a volume knows its settings, and refuses others.
+    let has_settings = known.contains(&VOLUME) && extras.contains_key(VOLUME);
     for (key, value) in extras {
         let is_ours = key.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("gdibl"));
-        if is_ours && !known.contains(&key.as_str()) && unknown.len() < NAMED {
+        let is_known = known.contains(&key.as_str()) || (has_settings && key.starts_with(OURS));
+        if is_ours && !is_known && unknown.len() < NAMED {
             unknown.push(format!("{place}.extras.{key} = {value}"));
         }
     }

@@ -7,7 +7,8 @@
 //! * **floor**: finds the cell and blends the 8 × 27 halves in AVX with the processor's own f16 conversion (f16c).
 //! * **touch**: finds the cell and adds up the 8 × 27 raw words. Nothing that reads them can be faster.
 //!
-//! Both with walls in every eighth cell and in all, against none; and as sparse grids with cells of one size and of two.
+//! Both with walls in every eighth cell and in all, against none; as sparse grids with cells of one size and of two; and as sets of one
+//! volume, of two where the first answers everywhere, and of two that both answer everywhere.
 //!
 //! Parsing, of 100 MB without compression: `Volume::parse`, against a copy and the CRC-32 of the same bytes. And of the same
 //! nodes packed, as bits and as plain numbers, against f16.
@@ -25,7 +26,7 @@ use gdibl_runtime::format::{
     self, BRICKS, Codec, Encoding, Filter, Header, Kind, RADIANCE, SectionEntry, Units, WALLS,
 };
 use gdibl_runtime::walls::{Plane, WallCell, walls_to_bytes};
-use gdibl_runtime::{Limits, Volume, packed};
+use gdibl_runtime::{Limits, Volume, VolumeSet, packed};
 use half::f16;
 use std::hint::black_box;
 use std::time::Instant;
@@ -99,6 +100,15 @@ fn main() {
     println!("|---|---|---|---|");
     let walled = [8, 1].map(|every| Volume::parse(&file(counts, every)).expect("a volume"));
     compare([&volume, &walled[0], &walled[1]], counts);
+
+    println!();
+    println!(
+        "| sets, over the volume alone | of one | of two, the first everywhere | of two, both everywhere | volume |"
+    );
+    println!("|---|---|---|---|---|");
+    let wide = f64::from(counts);
+    let sets = [vec![1.0], vec![1.0, 1.0]].map(|spacings| set(&volume, &spacings));
+    compare_sets(&volume, [&sets[0], &sets[1], &both_everywhere(&bytes, wide)], counts);
 
     println!();
     println!("| sparse, over a grid | every place a node | cells of two sizes | grid |");
@@ -204,6 +214,52 @@ fn compare(volumes: [&Volume; 3], counts: u32) {
             println!("| {name}, {how} | {second:.2} | {third:.2} | {:.1} ns |", median(&first));
         }
     }
+}
+
+/// As often the same volume as there are spacings.
+fn set(volume: &Volume, spacings: &[f64]) -> VolumeSet {
+    VolumeSet::new(spacings.iter().map(|spacing| (volume.clone(), *spacing))).expect("grids")
+}
+
+/// Two volumes of which the first gives way all over its box, to one of which it is a small part.
+fn both_everywhere(bytes: &[u8], wide: f64) -> VolumeSet {
+    let directory = format::parse_header_and_sections(bytes).expect("a volume");
+    let Header { min, max, .. } = directory.header;
+    let larger = Header { min: min.map(|m| m - 2.0 * wide), max: max.map(|m| m + 2.0 * wide), ..directory.header };
+    let mut moved = format::directory_to_bytes(&larger, &directory.sections);
+    moved.extend_from_slice(&bytes[moved.len()..]);
+    let volumes = [bytes, &moved].map(|bytes| Volume::parse(bytes).expect("a volume"));
+    VolumeSet::new(volumes.into_iter().map(|volume| (volume, wide))).expect("grids")
+}
+
+/// Prints how long samples of sets take, over samples of the volume.
+fn compare_sets(volume: &Volume, sets: [&VolumeSet; 3], counts: u32) {
+    for (name, places) in [("random places", random_places(counts)), ("along a path", path(counts))] {
+        for in_batches in [true, false] {
+            let alone =
+                move |places: &Places| if in_batches { batch(volume, places) } else { irradiance(volume, places) };
+            let [a, b, c] = sets.map(|set| move |places: &Places| irradiance_of_set(set, places, in_batches));
+            let [first, one, two, both] = sampling_rounds(&places, [&alone, &a, &b, &c]);
+            let [one, two, both] = [one, two, both].map(|times| median_ratio(&times, &first));
+            let how = if in_batches { "in a batch" } else { "one by one" };
+            println!("| {name}, {how} | {one:.2} | {two:.2} | {both:.2} | {:.1} ns |", median(&first));
+        }
+    }
+}
+
+fn irradiance_of_set(set: &VolumeSet, places: &Places, in_batches: bool) {
+    if in_batches {
+        let mut found = [[0.0; 3]; BATCH];
+        set.irradiance_batch(places.positions, places.normals, &mut found);
+        black_box(found);
+        return;
+    }
+    let mut sum = [0.0; 3];
+    for (position, normal) in places.positions.iter().zip(places.normals) {
+        let found = set.irradiance(*position, *normal);
+        (0..3).for_each(|c| sum[c] += found[c]);
+    }
+    black_box(sum);
 }
 
 fn irradiance(volume: &Volume, places: &Places) {

@@ -40,6 +40,23 @@ for ( let k = 0; k < count; k ++ ) {
 
 }
 
+// A set of one is that volume; what is no set is refused and leaves the volume.
+const one = gdibl.parse( bytes );
+assert.throws( () => gdibl.set( [ one ], [ 0 ] ), /grids/ );
+if ( one.header.kind === 'grid' ) {
+
+	const set = gdibl.set( [ one ], [ 1 ] );
+	assert.deepEqual( set.irradianceBatch( positions, normals ), batch );
+	assert.throws( () => one.irradiance( [ 0, 0, 0 ], [ 0, 1, 0 ] ), /part of a set/ );
+	set.free();
+
+} else {
+
+	assert.throws( () => gdibl.set( [ one ], [ 1 ] ), /grids/ );
+	one.free();
+
+}
+
 // What was freed is used again: as many volumes as would fill the memory otherwise.
 const before = gdibl.exports.memory.buffer.byteLength;
 for ( let k = 0; k < 1000; k ++ ) gdibl.parse( bytes ).free();

@@ -10,6 +10,13 @@
 //   const [ r, g, b ] = volume.irradiance( [ 1, 1.5, - 2 ], [ 0, 1, 0 ] );
 //   volume.free();
 //
+// Several volumes of a level, by their list:
+//
+//   const list = await ( await fetch( 'level.volumes.json' ) ).json();
+//   const bytes = ( file ) => fetch( file ).then( ( answer ) => answer.arrayBuffer() ).then( ( buffer ) => new Uint8Array( buffer ) );
+//   const files = await Promise.all( list.volumes.map( ( { file } ) => bytes( file ) ) );
+//   const set = gdibl.set( files.map( ( bytes ) => gdibl.parse( bytes ) ), list.volumes.map( ( { spacing } ) => spacing ) );
+//
 // Metres, glTF's axes, unit normals. Irradiance E is what falls on a surface, in linear Rec.709: diffuse = albedo / π · E.
 // Coefficients of crates/runtime-c/include/gdibl.h, which says more. A file compressed with zstd needs a module that was
 // built with `--features zstd`; one built with `--features messages` also says what was found and what was expected where a
@@ -45,6 +52,48 @@ class Gdibl {
 			const memory = new Uint8Array( this.exports.memory.buffer );
 			if ( status !== 0 ) throw new Error( new TextDecoder().decode( memory.subarray( message, memory.indexOf( 0, message ) ) ) );
 			return new Volume( this, new Uint32Array( memory.buffer, pointer, 1 )[ 0 ] );
+
+		} );
+
+	}
+
+	/** Several volumes of a level as one, in the order of their list, each with its spacing of there. They are the set's then. */
+	set( volumes, spacings ) {
+
+		const count = volumes.length;
+		if ( spacings.length !== count ) throw new RangeError( `${ count } volumes, ${ spacings.length } spacings` );
+		return this.borrow( [ POINTER * count, 2 * FLOAT * count, POINTER ], ( addresses, numbers, pointer ) => {
+
+			const { buffer } = this.exports.memory;
+			new Uint32Array( buffer, addresses, count ).set( volumes.map( ( { address } ) => address ) );
+			new Float64Array( buffer, numbers, count ).set( spacings );
+			const status = this.exports.gdibl_set( addresses, numbers, count, pointer );
+			if ( status !== 0 ) throw new RangeError( 'volumes of a set are grids, each once and not freed, with spacings over 0' );
+			volumes.forEach( ( volume ) => { volume.address = 0; } );
+			return new VolumeSet( this, new Uint32Array( this.exports.memory.buffer, pointer, 1 )[ 0 ] );
+
+		} );
+
+	}
+
+	/** Into `result`, what the module's function says at positions with normals. `address`: of whom it asks. */
+	ask( batch, address, positions, normals, result ) {
+
+		const { exports } = this, length = positions.length, size = FLOAT * length;
+		if ( address === 0 ) throw new Error( 'the volume was freed, or is part of a set' );
+		if ( length % 3 !== 0 || normals.length !== length || result.length !== length ) {
+
+			throw new RangeError( `${ length } numbers of positions, ${ normals.length } of normals, ${ result.length } of results` );
+
+		}
+
+		return this.borrow( [ size, size ], ( p, n ) => {
+
+			new Float32Array( exports.memory.buffer, p, length ).set( positions );
+			new Float32Array( exports.memory.buffer, n, length ).set( normals );
+			exports[ batch ]( address, length / 3, p, n, p );
+			result.set( new Float32Array( exports.memory.buffer, p, length ) );
+			return result;
 
 		} );
 
@@ -97,23 +146,7 @@ class Volume {
 	/** Irradiance at positions (x, y, z after x, y, z) with as many normals, into `result`, which is returned. */
 	irradianceBatch( positions, normals, result = new Float32Array( positions.length ) ) {
 
-		const { exports } = this.gdibl, length = positions.length, size = FLOAT * length;
-		if ( this.address === 0 ) throw new Error( 'the volume was freed' );
-		if ( length % 3 !== 0 || normals.length !== length || result.length !== length ) {
-
-			throw new RangeError( `${ length } numbers of positions, ${ normals.length } of normals, ${ result.length } of results` );
-
-		}
-
-		return this.gdibl.borrow( [ size, size ], ( p, n ) => {
-
-			new Float32Array( exports.memory.buffer, p, length ).set( positions );
-			new Float32Array( exports.memory.buffer, n, length ).set( normals );
-			exports.gdibl_irradiance_batch( this.address, length / 3, p, n, p );
-			result.set( new Float32Array( exports.memory.buffer, p, length ) );
-			return result;
-
-		} );
+		return this.gdibl.ask( 'gdibl_irradiance_batch', this.address, positions, normals, result );
 
 	}
 
@@ -121,6 +154,39 @@ class Volume {
 	free() {
 
 		this.gdibl.exports.gdibl_free( this.address );
+		this.address = 0;
+
+	}
+
+}
+
+/** Several volumes of a level: light is continuous across their borders, and the finer one wins. */
+class VolumeSet {
+
+	constructor( gdibl, address ) {
+
+		Object.assign( this, { gdibl, address } );
+
+	}
+
+	/** As of a volume. */
+	irradiance( position, normal ) {
+
+		return this.irradianceBatch( position, normal );
+
+	}
+
+	/** As of a volume. */
+	irradianceBatch( positions, normals, result = new Float32Array( positions.length ) ) {
+
+		return this.gdibl.ask( 'gdibl_set_irradiance_batch', this.address, positions, normals, result );
+
+	}
+
+	/** Gives the memory of the set and its volumes back. */
+	free() {
+
+		this.gdibl.exports.gdibl_set_free( this.address );
 		this.address = 0;
 
 	}

@@ -226,7 +226,7 @@ fn a_plan_has_a_row_per_volume_and_writes_nothing() {
     let folder = Folder::new();
     level(&[hall(), corner()]).write(&folder, "level.glb");
     let plan = folder.ok(&[&["bake", "level.glb", "--plan"], &SKY[..]].concat());
-    for words in ["'hall' ", "'Corner' ", "8 x 3 x 8", "3 x 2 x 3", "7 x 5 x 7", "9 x 4 x 9"] {
+    for words in ["'hall' ", "'Corner' ", "8.000 x 3.000 x 8.000", "3.000 x 2.000 x 3.000", "7 x 5 x 7", "9 x 4 x 9"] {
         assert!(plan.contains(words), "{words}: {plan}");
     }
     assert_eq!(folder.names(), ["level.glb"]);

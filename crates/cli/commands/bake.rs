@@ -102,7 +102,10 @@ pub fn run(mut arguments: Arguments, session: &Session) -> Result<Outcome, Fault
     // Everything is read and refused before the first ray.
     let inputs = read_inputs(&config, config.textures())?;
     let given = std::mem::take(&mut arguments.settings.given);
-    let is_given = |row: &Row| given.iter().any(|given| (given.section, given.name) == (row.section, row.name));
+    let is_given = |row: &Row| {
+        let names: &[&str] = if row.name == "counts" { &["counts", "spacing"] } else { &[row.name] };
+        given.iter().any(|given| given.section == row.section && names.contains(&given.name))
+    };
     let mut wanted = wanted_of(&inputs.scene, &config.settings, is_given, &inputs.level)?;
     if wanted.len() > 1 {
         return run_several(&arguments, &config, inputs, wanted, &stages, session);

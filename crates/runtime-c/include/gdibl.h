@@ -50,7 +50,7 @@ typedef enum {
   GDIBL_STATUS_INVALID = 2,
   // A pointer is NULL that must not be.
   GDIBL_STATUS_NULL_POINTER = 3,
-  // A number is too large: a node that the volume does not have, bands above 4.
+  // A number is too large: a node that the volume does not have, bands above 4. Or it makes no sense, see gdibl_set.
   GDIBL_STATUS_OUT_OF_RANGE = 4,
   // A mistake of this library: please report it.
   GDIBL_STATUS_INTERNAL = 5,
@@ -67,6 +67,9 @@ typedef enum {
   // Some places of a fine grid, fewer where light is even; interpolated as in a grid.
   GDIBL_KIND_SPARSE = 3,
 } GdiblKind;
+
+// Several volumes of a level. Only ever behind a pointer that gdibl_set made.
+typedef struct GdiblSet GdiblSet;
 
 // A parsed file. Only ever behind a pointer that gdibl_parse made.
 typedef struct GdiblVolume GdiblVolume;
@@ -215,6 +218,56 @@ GdiblStatus gdibl_sample_f64(const GdiblVolume *volume,
 //
 // `sample` is NULL or was written by this library; the others are NULL or have three numbers.
 GdiblStatus gdibl_evaluate(const GdiblSample *sample, const float normal[3], float irradiance[3]);
+
+// Puts count volumes of a level together, in the order of its list (FORMAT.md, *Several volumes of a level*), each with
+// its spacing of there, metres: an earlier one wins over a later one.
+//
+// On success *set is to be given to gdibl_set_free once, and the volumes are its own: nobody may use or free them any
+// more. Otherwise *set is NULL, and the volumes stay the caller's. Only grids can be in a set (else
+// GDIBL_STATUS_INVALID), there is at least one, each is given once, and spacings are numbers over 0 (else
+// GDIBL_STATUS_OUT_OF_RANGE).
+//
+// `volumes` is NULL or has `count` pointers from `gdibl_parse`, which nobody else uses; `spacings` is NULL or has
+// `count` numbers; `set` is NULL or can be written.
+GdiblStatus gdibl_set(GdiblVolume *const *volumes, const double *spacings, size_t count, GdiblSet **set);
+
+// Ends a set and its volumes, which must not be used afterwards. NULL is fine.
+//
+// `set` is NULL or came from `gdibl_set`, was not freed yet, and nobody else uses it.
+void gdibl_set_free(GdiblSet *set);
+
+// As gdibl_irradiance, of a set.
+//
+// `set` is NULL or alive; the others are NULL or have three numbers. They may overlap.
+GdiblStatus gdibl_set_irradiance(const GdiblSet *set,
+                                 const float position[3],
+                                 const float normal[3],
+                                 float irradiance[3]);
+
+// The same for levels far from the origin.
+//
+// As for `gdibl_set_irradiance`.
+GdiblStatus gdibl_set_irradiance_f64(const GdiblSet *set,
+                                     const double position[3],
+                                     const float normal[3],
+                                     float irradiance[3]);
+
+// As gdibl_irradiance_batch, of a set.
+//
+// `set` is NULL or alive; the others are NULL or have `3 * count` numbers. They are the same or do not overlap.
+GdiblStatus gdibl_set_irradiance_batch(const GdiblSet *set,
+                                       size_t count,
+                                       const float *positions,
+                                       const float *normals,
+                                       float *irradiance);
+
+// As gdibl_sample_f64, of a set. Its bands are those of the volume that has most, of those that count at the position.
+//
+// `set` is NULL or alive; `position` and `normal` are NULL or have three numbers; `sample` is NULL or can be written.
+GdiblStatus gdibl_set_sample_f64(const GdiblSet *set,
+                                 const double position[3],
+                                 const float normal[3],
+                                 GdiblSample *sample);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -19,7 +19,7 @@ use core::ffi::c_char;
 use core::slice;
 use gdibl_runtime::sh::{MAX_BANDS, MAX_COEFFICIENTS};
 use gdibl_runtime::volume::VertexSet;
-use gdibl_runtime::{Error, Kind, RadianceSh, Sample, Volume};
+use gdibl_runtime::{Error, Kind, RadianceSh, Sample, Volume, VolumeSet};
 
 /// Most spherical harmonics coefficients of a volume: those of bands 0 to 4.
 pub const GDIBL_MAX_COEFFICIENTS: usize = 25;
@@ -29,10 +29,14 @@ const _: () = assert!(GDIBL_MAX_COEFFICIENTS == MAX_COEFFICIENTS);
 /// A parsed file. Only ever behind a pointer that gdibl_parse made.
 pub struct GdiblVolume(Volume);
 
+/// Several volumes of a level. Only ever behind a pointer that gdibl_set made.
+pub struct GdiblSet(VolumeSet);
+
 // Any number of threads may ask one volume, and any may free it.
 const _: () = {
     const fn is_shared<T: Send + Sync>() {}
     is_shared::<GdiblVolume>();
+    is_shared::<GdiblSet>();
 };
 
 /// How a call went.
@@ -48,7 +52,7 @@ pub enum GdiblStatus {
     Invalid = 2,
     /// A pointer is NULL that must not be.
     NullPointer = 3,
-    /// A number is too large: a node that the volume does not have, bands above 4.
+    /// A number is too large: a node that the volume does not have, bands above 4. Or it makes no sense, see gdibl_set.
     OutOfRange = 4,
     /// A mistake of this library: please report it.
     Internal = 5,
@@ -344,29 +348,42 @@ pub unsafe extern "C" fn gdibl_irradiance_batch(
     guarded(|| {
         // SAFETY: `volume` is NULL, which is refused, or alive.
         let volume = unsafe { volume_at(volume)? };
-        if count > 0 && (positions.is_null() || normals.is_null() || irradiance.is_null()) {
-            return Err(GdiblStatus::NullPointer);
-        }
-        // Copied, a piece at a time, since the arrays may be the same.
-        let (mut some_positions, mut some_normals, mut found) =
-            ([[0.0; 3]; PIECE], [[0.0; 3]; PIECE], [[0.0; 3]; PIECE]);
-        for first in (0..count).step_by(PIECE) {
-            let piece = PIECE.min(count - first);
-            for k in 0..piece {
-                // SAFETY: no array is NULL, so each has `3 * count` numbers, of which `first + k` is not the end.
-                unsafe {
-                    some_positions[k] = three(positions.add(3 * (first + k)))?;
-                    some_normals[k] = three(normals.add(3 * (first + k)))?;
-                }
-            }
-            volume.irradiance_batch(&some_positions[..piece], &some_normals[..piece], &mut found[..piece]);
-            for (k, found) in found[..piece].iter().enumerate() {
-                // SAFETY: as above. What was written before belongs to smaller indices.
-                unsafe { write(irradiance.add(3 * (first + k)).cast(), *found)? };
-            }
-        }
-        Ok(())
+        // SAFETY: the caller's promise.
+        unsafe { in_pieces(count, positions, normals, irradiance, |p, n, e| volume.irradiance_batch(p, n, e)) }
     })
+}
+
+/// Asks `answer` for irradiance at `count` places, a piece at a time: copied, since the arrays may be the same.
+///
+/// # Safety
+/// Each is NULL or has `3 * count` numbers. They are the same or do not overlap.
+unsafe fn in_pieces(
+    count: usize,
+    positions: *const f32,
+    normals: *const f32,
+    irradiance: *mut f32,
+    answer: impl Fn(&[[f32; 3]], &[[f32; 3]], &mut [[f32; 3]]),
+) -> Result<(), GdiblStatus> {
+    if count > 0 && (positions.is_null() || normals.is_null() || irradiance.is_null()) {
+        return Err(GdiblStatus::NullPointer);
+    }
+    let (mut some_positions, mut some_normals, mut found) = ([[0.0; 3]; PIECE], [[0.0; 3]; PIECE], [[0.0; 3]; PIECE]);
+    for first in (0..count).step_by(PIECE) {
+        let piece = PIECE.min(count - first);
+        for k in 0..piece {
+            // SAFETY: no array is NULL, so each has `3 * count` numbers, of which `first + k` is not the end.
+            unsafe {
+                some_positions[k] = three(positions.add(3 * (first + k)))?;
+                some_normals[k] = three(normals.add(3 * (first + k)))?;
+            }
+        }
+        answer(&some_positions[..piece], &some_normals[..piece], &mut found[..piece]);
+        for (k, found) in found[..piece].iter().enumerate() {
+            // SAFETY: as above. What was written before belongs to smaller indices.
+            unsafe { write(irradiance.add(3 * (first + k)).cast(), *found)? };
+        }
+    }
+    Ok(())
 }
 
 /// Light from all around at a position in metres: gdibl_evaluate turns it into irradiance for any number of normals. The
@@ -441,6 +458,153 @@ pub unsafe extern "C" fn gdibl_evaluate(
     })
 }
 
+/// Puts count volumes of a level together, in the order of its list (FORMAT.md, *Several volumes of a level*), each with
+/// its spacing of there, metres: an earlier one wins over a later one.
+///
+/// On success *set is to be given to gdibl_set_free once, and the volumes are its own: nobody may use or free them any
+/// more. Otherwise *set is NULL, and the volumes stay the caller's. Only grids can be in a set (else
+/// GDIBL_STATUS_INVALID), there is at least one, each is given once, and spacings are numbers over 0 (else
+/// GDIBL_STATUS_OUT_OF_RANGE).
+///
+/// # Safety
+/// `volumes` is NULL or has `count` pointers from `gdibl_parse`, which nobody else uses; `spacings` is NULL or has
+/// `count` numbers; `set` is NULL or can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_set(
+    volumes: *const *mut GdiblVolume,
+    spacings: *const f64,
+    count: usize,
+    set: *mut *mut GdiblSet,
+) -> GdiblStatus {
+    guarded(|| {
+        // SAFETY: `set` is NULL, which is refused, or can be written.
+        unsafe { write(set, core::ptr::null_mut())? };
+        if count == 0 {
+            return Err(GdiblStatus::OutOfRange);
+        }
+        if volumes.is_null() || spacings.is_null() {
+            return Err(GdiblStatus::NullPointer);
+        }
+        // SAFETY: neither is NULL, so there are `count` of each, which nobody changes during the call.
+        let (volumes, spacings) =
+            unsafe { (slice::from_raw_parts(volumes, count), slice::from_raw_parts(spacings, count)) };
+        // All is checked before any volume is taken.
+        for (index, (&volume, &spacing)) in volumes.iter().zip(spacings).enumerate() {
+            // SAFETY: NULL, which is refused, or alive.
+            let kind = unsafe { volume_at(volume)? }.header().kind;
+            if !matches!(kind, Kind::Grid | Kind::Sparse) {
+                return Err(GdiblStatus::Invalid);
+            }
+            if !(spacing > 0.0 && spacing.is_finite()) || volumes[..index].contains(&volume) {
+                return Err(GdiblStatus::OutOfRange);
+            }
+        }
+        // SAFETY: `gdibl_parse` made each with `Box::into_raw`, and this is the one time that it is turned back.
+        let taken = volumes.iter().map(|&volume| unsafe { Box::from_raw(volume) }.0);
+        let found = VolumeSet::new(taken.zip(spacings.iter().copied())).map_err(|_| GdiblStatus::Internal)?;
+        // SAFETY: as above.
+        unsafe { write(set, Box::into_raw(Box::new(GdiblSet(found)))) }
+    })
+}
+
+/// Ends a set and its volumes, which must not be used afterwards. NULL is fine.
+///
+/// # Safety
+/// `set` is NULL or came from `gdibl_set`, was not freed yet, and nobody else uses it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_set_free(set: *mut GdiblSet) {
+    if !set.is_null() {
+        // SAFETY: `gdibl_set` made it with `Box::into_raw`, and this is the one time that it is turned back.
+        drop(unsafe { Box::from_raw(set) });
+    }
+}
+
+/// As gdibl_irradiance, of a set.
+///
+/// # Safety
+/// `set` is NULL or alive; the others are NULL or have three numbers. They may overlap.
+///
+/// cbindgen:ptrs-as-arrays=[[position;3],[normal;3],[irradiance;3]]
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_set_irradiance(
+    set: *const GdiblSet,
+    position: *const f32,
+    normal: *const f32,
+    irradiance: *mut f32,
+) -> GdiblStatus {
+    guarded(|| {
+        // SAFETY: each is NULL, which is refused, or alive, or has three numbers.
+        unsafe {
+            let found = set_at(set)?.irradiance(three(position)?, three(normal)?);
+            write(irradiance.cast(), found)
+        }
+    })
+}
+
+/// The same for levels far from the origin.
+///
+/// # Safety
+/// As for `gdibl_set_irradiance`.
+///
+/// cbindgen:ptrs-as-arrays=[[position;3],[normal;3],[irradiance;3]]
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_set_irradiance_f64(
+    set: *const GdiblSet,
+    position: *const f64,
+    normal: *const f32,
+    irradiance: *mut f32,
+) -> GdiblStatus {
+    guarded(|| {
+        // SAFETY: each is NULL, which is refused, or alive, or has three numbers.
+        unsafe {
+            let found = set_at(set)?.irradiance_f64(three(position)?, three(normal)?);
+            write(irradiance.cast(), found)
+        }
+    })
+}
+
+/// As gdibl_irradiance_batch, of a set.
+///
+/// # Safety
+/// `set` is NULL or alive; the others are NULL or have `3 * count` numbers. They are the same or do not overlap.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_set_irradiance_batch(
+    set: *const GdiblSet,
+    count: usize,
+    positions: *const f32,
+    normals: *const f32,
+    irradiance: *mut f32,
+) -> GdiblStatus {
+    guarded(|| {
+        // SAFETY: `set` is NULL, which is refused, or alive.
+        let set = unsafe { set_at(set)? };
+        // SAFETY: the caller's promise.
+        unsafe { in_pieces(count, positions, normals, irradiance, |p, n, e| set.irradiance_batch(p, n, e)) }
+    })
+}
+
+/// As gdibl_sample_f64, of a set. Its bands are those of the volume that has most, of those that count at the position.
+///
+/// # Safety
+/// `set` is NULL or alive; `position` and `normal` are NULL or have three numbers; `sample` is NULL or can be written.
+///
+/// cbindgen:ptrs-as-arrays=[[position;3],[normal;3]]
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gdibl_set_sample_f64(
+    set: *const GdiblSet,
+    position: *const f64,
+    normal: *const f32,
+    sample: *mut GdiblSample,
+) -> GdiblStatus {
+    guarded(|| {
+        // SAFETY: each is NULL, which is refused, or alive, or has three numbers, or can be written.
+        unsafe {
+            let found = set_at(set)?.sample_f64(three(position)?, three(normal)?);
+            write(sample, sample_for_c(&found))
+        }
+    })
+}
+
 fn sample_for_c(sample: &Sample) -> GdiblSample {
     let Sample { sh, validity, inside } = *sample;
     GdiblSample { bands: sh.bands, radiance: sh.coefficients, validity, inside }
@@ -469,6 +633,14 @@ fn guarded(work: impl FnOnce() -> Result<(), GdiblStatus>) -> GdiblStatus {
 unsafe fn volume_at<'a>(volume: *const GdiblVolume) -> Result<&'a Volume, GdiblStatus> {
     // SAFETY: the caller's promise.
     unsafe { volume.as_ref() }.map(|volume| &volume.0).ok_or(GdiblStatus::NullPointer)
+}
+
+/// # Safety
+/// `set` is NULL or alive for `'a`.
+#[inline]
+unsafe fn set_at<'a>(set: *const GdiblSet) -> Result<&'a VolumeSet, GdiblStatus> {
+    // SAFETY: the caller's promise.
+    unsafe { set.as_ref() }.map(|set| &set.0).ok_or(GdiblStatus::NullPointer)
 }
 
 /// # Safety

@@ -4,7 +4,8 @@
 mod common;
 
 use common::*;
-use gdibl_runtime::{Kind, Volume};
+use gdibl_runtime::format::{self, Header};
+use gdibl_runtime::{Kind, Volume, VolumeSet};
 use gdibl_runtime_c::*;
 use std::ffi::CStr;
 use std::mem::MaybeUninit;
@@ -273,4 +274,95 @@ fn compressed_files_are_read() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../runtime/tests/data/golden/v1_grid_f16_zstd.gdibl");
     let (status, _parsed, message) = parse(&std::fs::read(path).unwrap());
     assert_eq!(status, GdiblStatus::Ok, "{message}");
+}
+
+/// The file of a form, its box so much wider on all sides.
+fn wider(form: Form, metres: f64) -> Vec<u8> {
+    let bytes = form.bytes();
+    let directory = format::parse_header_and_sections(&bytes).unwrap();
+    let Header { min, max, .. } = directory.header;
+    let header = Header { min: min.map(|v| v - metres), max: max.map(|v| v + metres), ..directory.header };
+    let mut wide = format::directory_to_bytes(&header, &directory.sections);
+    wide.extend_from_slice(&bytes[wide.len()..]);
+    wide
+}
+
+#[test]
+fn a_set_answers_as_the_runtimes_and_owns_its_volumes() {
+    let files = [FORMS[0].bytes(), wider(FORMS[1], 1.0)];
+    let spacings = [0.75, 1.5];
+    let truth = files.iter().zip(spacings).map(|(file, spacing)| (Volume::parse(file).unwrap(), spacing));
+    let truth = VolumeSet::new(truth).unwrap();
+    let volumes = files.map(|file| {
+        let (status, parsed, message) = parse(&file);
+        assert_eq!(status, GdiblStatus::Ok, "{message}");
+        let volume = parsed.0;
+        // The set frees it.
+        std::mem::forget(parsed);
+        volume
+    });
+    // SAFETY: there are two of each, alive, and nobody else uses them.
+    let set = unsafe { written(|set| gdibl_set(volumes.as_ptr(), spacings.as_ptr(), 2, set)) };
+    let mut shared = 0;
+    let (mut positions, mut normals) = (Vec::new(), Vec::new());
+    for (position, normal) in queries() {
+        let far = position.map(f64::from);
+        let n = normal.as_ptr();
+        // SAFETY: the set is alive; positions, normals and results have three numbers.
+        let (e, e_far, sample) = unsafe {
+            (
+                written::<[f32; 3]>(|e| gdibl_set_irradiance(set, position.as_ptr(), n, e.cast())),
+                written::<[f32; 3]>(|e| gdibl_set_irradiance_f64(set, far.as_ptr(), n, e.cast())),
+                written(|sample| gdibl_set_sample_f64(set, far.as_ptr(), n, sample)),
+            )
+        };
+        assert_eq!((e, e_far), (truth.irradiance(position, normal), truth.irradiance_f64(far, normal)));
+        let expected = truth.sample_f64(far, normal);
+        assert_eq!((sample.bands, sample.radiance), (expected.sh.bands, expected.sh.coefficients));
+        assert_eq!((sample.validity, sample.inside), (expected.validity, expected.inside));
+        shared += usize::from(truth.shares(far).count() > 1);
+        positions.push(position);
+        normals.push(normal);
+    }
+    assert!(shared > 100, "{shared} places between both");
+    let [mut found, mut expected] = [vec![[0.0; 3]; positions.len()], vec![[0.0; 3]; positions.len()]];
+    let [p, n] = [&positions, &normals].map(|all| all.as_flattened().as_ptr());
+    // SAFETY: all have as many numbers.
+    let status =
+        unsafe { gdibl_set_irradiance_batch(set, positions.len(), p, n, found.as_flattened_mut().as_mut_ptr()) };
+    truth.irradiance_batch(&positions, &normals, &mut expected);
+    assert_eq!((status, found), (GdiblStatus::Ok, expected));
+    // SAFETY: from `gdibl_set`, and this is the one time.
+    unsafe { gdibl_set_free(set) };
+}
+
+#[test]
+fn what_is_no_set_is_refused_and_leaves_its_volumes_to_the_caller() {
+    let ((truth, one), (_, other)) = (parse_form(FORMS[0]), parse_form(FORMS[3]));
+    let (grid, points) = (one.0, other.0);
+    let try_set = |volumes: &[*mut GdiblVolume], spacings: &[f64]| {
+        let mut set = std::ptr::dangling_mut();
+        // SAFETY: there are as many of each.
+        let status = unsafe { gdibl_set(volumes.as_ptr(), spacings.as_ptr(), volumes.len(), &mut set) };
+        assert!(set.is_null());
+        status
+    };
+    assert_eq!(try_set(&[], &[]), GdiblStatus::OutOfRange);
+    assert_eq!(try_set(&[grid, null_mut()], &[1.0; 2]), GdiblStatus::NullPointer);
+    assert_eq!(try_set(&[grid, grid], &[1.0; 2]), GdiblStatus::OutOfRange);
+    for spacing in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        assert_eq!(try_set(&[grid], &[spacing]), GdiblStatus::OutOfRange);
+    }
+    assert_eq!(try_set(&[grid, points], &[1.0; 2]), GdiblStatus::Invalid);
+    let (position, normal) = ([0.0, 1.0, 3.0], [0.0, 1.0, 0.0]);
+    // SAFETY: what is NULL is refused; the grid is alive still.
+    unsafe {
+        assert_eq!(gdibl_set(null(), null(), 1, null_mut()), GdiblStatus::NullPointer);
+        let e = written::<[f32; 3]>(|e| gdibl_irradiance(grid, position.as_ptr(), normal.as_ptr(), e.cast()));
+        assert_eq!(e, truth.irradiance(position, normal));
+        let mut e = [7.0; 3];
+        let status = gdibl_set_irradiance(null(), position.as_ptr(), normal.as_ptr(), e.as_mut_ptr());
+        assert_eq!((status, e), (GdiblStatus::NullPointer, [7.0; 3]));
+        gdibl_set_free(null_mut());
+    }
 }

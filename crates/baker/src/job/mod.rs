@@ -189,8 +189,7 @@ impl Job {
         }
         let (method, mut rows) = (self.method(), self.first_rows());
         (watch.stage)(Stage::Prepare);
-        let sample =
-            Sample { job: self, settings: &self.settings, importance: true, searches: self.searches(), watch };
+        let sample = Sample { job: self, settings: &self.settings, importance: true, searches: self.searches(), watch };
         let sampled = self.with_function(&self.settings, sample)?;
         let Sampled { nodes, mut baked, sparse, held_out, decided, stages } = sampled;
         check_valid(&baked).map_err(Stop::Nothing)?;

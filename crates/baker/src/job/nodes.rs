@@ -66,12 +66,7 @@ pub(super) fn nodes_of(
     }
 }
 
-fn grid_of(
-    settings: &GridSettings,
-    scene: &Scene,
-    markers: &[VolumeMarker],
-    level: &str,
-) -> Result<Placed, Stop> {
+fn grid_of(settings: &GridSettings, scene: &Scene, markers: &[VolumeMarker], level: &str) -> Result<Placed, Stop> {
     let GridSettings { bounds, spacing, counts, tolerance, .. } = settings;
     if spacing.is_some() && counts.is_some() {
         return Err(Stop::Usage("spacing and counts contradict each other: give one of them".into()));

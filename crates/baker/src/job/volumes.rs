@@ -56,9 +56,11 @@ pub fn wanted_of(
                 |why: &str| Stop::Invalid(format!("{level}: {}: extras.gdibl_{name} = {text}: {why}", marker.node));
             let row = ROWS.iter().find(|row| row.name == *name && row.is_of_volumes());
             let row = row.ok_or_else(|| wrong(&no_setting(name)))?;
+            let mut changed = own.clone();
+            changed.set(row.section, row.name, &[text]).map_err(|why| wrong(&why))?;
+            changed.check().map_err(|out| wrong(&format!("found {}", out.message)))?;
             if !is_given(row) {
-                own.set(row.section, row.name, &[text]).map_err(|why| wrong(&why))?;
-                own.check().map_err(|out| wrong(&format!("found {}", out.message)))?;
+                own = changed;
             }
         }
         Ok(Wanted { marker: marker.clone(), settings: own })
@@ -70,7 +72,7 @@ pub fn wanted_of(
 fn no_setting(name: &str) -> String {
     match name {
         "bounds" => "the box is that of the node".into(),
-        "spacing" => "the spacing is the value of gdibl_volume".into(),
+        "spacing" | "max_nodes" | "max_bytes" | "budget" => "the spacing is the value of gdibl_volume".into(),
         name if ROWS.iter().any(|row| row.name == name) => {
             "this belongs to the whole level: give it as a flag, or in BAKE.toml".into()
         }
@@ -103,7 +105,8 @@ impl Volumes {
     /// What makes no sense, before anything long has begun; also of names and boxes beside each other.
     pub fn prepare(mut inputs: Inputs, wanted: Vec<Wanted>, memory: Memory) -> Result<Volumes, Stop> {
         assert!(!wanted.is_empty(), "no volume is wanted");
-        let is_bounded = |grid: &GridSettings| grid.max_nodes.is_some() || grid.max_bytes.is_some() || grid.budget.is_some();
+        let is_bounded =
+            |grid: &GridSettings| grid.max_nodes.is_some() || grid.max_bytes.is_some() || grid.budget.is_some();
         if wanted.iter().any(|wanted| is_bounded(&wanted.settings.grid)) {
             let why = "--max-nodes, --max-bytes and --budget choose a spacing, and the nodes' gdibl_volume says it: leave them \
                        out, or choose a box with --bounds";

@@ -131,7 +131,8 @@ fn probe_and_volume_markers_are_placed() {
     level.json["nodes"] = json!([
         { "children": [1, 2], "translation": [1, 2, 3] },
         { "name": "p", "rotation": [0, half, 0, half], "scale": [2, 3, -4], "extras": { "gdibl_probe": "hdr/p.exr" } },
-        { "name": "v", "scale": [2, 3, 4], "extras": { "gdibl_volume": 0.5, "gdibl_role": "ignore" } },
+        { "name": "v", "scale": [2, 3, 4], "extras": { "gdibl_volume": 0.5, "gdibl_role": "ignore", "gdibl_sh": "L1",
+            "gdibl_samples": 64.0, "gdibl_counts": [3, 4, 5], "gdibl_zstd": true, "gdibl_tolerance": 0.05, "other": 1 } },
     ]);
     let scene = level.read().unwrap();
     let probe = &scene.probe_markers[0];
@@ -141,6 +142,31 @@ fn probe_and_volume_markers_are_placed() {
     let volume = &scene.volume_markers[0];
     assert_eq!((volume.spacing, volume.center), (0.5, DVec3::new(1., 2., 3.)));
     assert_eq!(volume.half_axes, glam::DMat3::from_diagonal(DVec3::new(2., 3., 4.)));
+    assert_eq!((volume.name.as_str(), volume.node.as_str()), ("v", "node 2 (v)"));
+    let settings: Vec<_> = volume.settings.iter().map(|(name, text)| (name.as_str(), text.as_str())).collect();
+    let expected = [("counts", "3,4,5"), ("samples", "64"), ("sh", "L1"), ("tolerance", "0.05"), ("zstd", "true")];
+    assert_eq!(settings, expected);
+    assert_eq!(finding(&scene, "unknown-properties"), 0, "{:?}", scene.findings);
+}
+
+#[test]
+fn a_volume_that_is_not_upright_is_found_and_its_box_lies_around_it() {
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let eighth = std::f64::consts::FRAC_PI_8;
+    let rotated = |rotation: [f64; 4]| {
+        let mut level = Level::new();
+        let volume = json!({ "gdibl_volume": 0.5 });
+        level.json["nodes"] = json!([{ "rotation": rotation, "scale": [2, 3, 4], "extras": volume }]);
+        let scene = level.read().unwrap();
+        (scene.volume_markers[0].bounds().1, finding(&scene, "rotated-volume"))
+    };
+    // A quarter turn about Y swaps X and Z.
+    let (corner, found) = rotated([0.0, half, 0.0, half]);
+    assert!((corner - DVec3::new(4., 3., 2.)).length() < 1e-12, "{corner}");
+    assert_eq!(found, 0);
+    let (corner, found) = rotated([0.0, eighth.sin(), 0.0, eighth.cos()]);
+    assert!((corner - DVec3::new(6. * half, 3., 6. * half)).length() < 1e-12, "{corner}");
+    assert_eq!(found, 1);
 }
 
 #[test]

@@ -205,6 +205,8 @@ fn artists_marks_are_checked() {
     assert_invalid(extras(json!({ "gdibl_probe": 1 })), &["node 0 (Crate)", "gdibl_probe"]);
     assert_invalid(extras(json!({ "gdibl_volume": 0 })), &["node 0 (Crate)", "gdibl_volume"]);
     assert_invalid(extras(json!({ "gdibl_volume": "1" })), &["node 0 (Crate)", "gdibl_volume"]);
+    let empty = json!({ "name": "Hall", "scale": [4, 0, 4], "extras": { "gdibl_volume": 1 } });
+    assert_invalid(with("/nodes/0", empty), &["node 0 (Hall)", "gdibl_volume", "8 x 0 x 8 m", "empty"]);
     let flat = json!({ "scale": [0, 0, 0], "extras": { "gdibl_probe": "a.exr" } });
     assert_invalid(with("/nodes/0", flat), &["node 0", "scale 0"]);
 }

@@ -298,9 +298,11 @@ fn a_box_that_is_given_wins() {
     settings.grid.bounds = Some([-9.0, 0.0, -9.0, 9.0, 5.0, 9.0]);
     let marker = VolumeMarker {
         name: "hall".into(),
+        node: "node 1 (hall)".into(),
         spacing: 1.0,
         center: DVec3::ZERO,
         half_axes: DMat3::from_diagonal(DVec3::splat(20.0)),
+        settings: Vec::new(),
     };
     let scene = scene_of(&[plane(), room()]);
     let marked = Scene { volume_markers: vec![marker], ..scene.clone() };

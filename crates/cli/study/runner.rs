@@ -134,7 +134,7 @@ impl Runner<'_> {
         check_valid(&baked).map_err(Fault::Bound)?;
         let nodes = self.job.nodes();
         let (file, bytes) = as_read(nodes, &baked, &settings);
-        let seen = self.between.as_ref().and_then(|between| seen_of(&between.errors(nodes, &baked, &file)));
+        let seen = self.between.as_ref().and_then(|between| seen_of(&between.errors(nodes, &baked, &file).0));
         Ok(Repeat { volume: volume_of(nodes, &baked), cost, seen, bytes })
     }
 

@@ -102,6 +102,7 @@ impl Part {
         statistics.walls = walls.as_ref().map(WallsRecord::from);
         (statistics.worst_direction_error, statistics.sparse, statistics.packing) = (None, None, None);
         (statistics.systematic_error, statistics.seen) = (None, None);
+        statistics.seen_places.clear();
         records
     }
 }

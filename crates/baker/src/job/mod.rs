@@ -213,10 +213,19 @@ impl Job {
         let stage = |(stage, rays): (Stage, u64)| StageRecord { stage: stage.name().into(), rays, seconds: None };
         let stages = stages.into_iter().map(stage).collect();
         let seen = held_out.map(|held_out| held_out.errors(&nodes, &baked, &as_read(&nodes, &baked, &self.settings).0));
+        let (seen, seen_places) = seen.unzip();
+        let seen_places = seen_places.unwrap_or_default();
         let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
         findings.extend(seen.and_then(|seen| blurred_sun(&seen, distant.filter(|_| self.sun.is_none()))));
-        let statistics =
-            StatisticsRecord { sun: self.sun, sparse, findings, stages, seen, ..StatisticsRecord::of(&baked) };
+        let statistics = StatisticsRecord {
+            sun: self.sun,
+            sparse,
+            findings,
+            stages,
+            seen,
+            seen_places,
+            ..StatisticsRecord::of(&baked)
+        };
         let probes = probe_records(&self.inputs.probes, distant);
         let Inputs { level, files, program, .. } = &self.inputs;
         let records = Records {
@@ -422,7 +431,7 @@ impl Sample<'_, '_> {
                         held_out = self.hold_out(&job.nodes, &baked, function)?;
                     }
                     let (volume, bytes) = as_read(&nodes, &baked, settings);
-                    let seen = held_out.as_ref().map(|held_out| held_out.errors(&nodes, &baked, &volume));
+                    let seen = held_out.as_ref().map(|held_out| held_out.errors(&nodes, &baked, &volume).0);
                     let error = seen.as_ref().map_or(f64::INFINITY, spacing::error_of);
                     search.tell(Tried { grid, error, bytes });
                     bakes.push((grid, baked));

@@ -170,7 +170,44 @@ later {
     systematic_error: Option<ErrorSummary>,
     /// Error where an engine reads light; `None` where nothing is read between nodes, or it was not measured.
     seen: Option<SeenRecord>,
+    /// The worst places at which that was measured, up to 32 in the air and as many on surfaces: to show where the error is.
+    #[serde(skip)]
+    seen_places: Vec<SeenPlace>,
 }
+}
+
+/// A held-out place in the box of a grid, and the error there: nine bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
+pub struct SeenPlace {
+    /// In the air; otherwise on a surface.
+    pub in_the_air: bool,
+    /// From the box's lowest corner to its highest, in 65535ths.
+    pub place: [u16; 3],
+    /// As [`SeenSet::error`]: a 16-bit float.
+    pub error: u16,
+}
+
+impl SeenPlace {
+    /// A place in the box from `min` to `max`, world metres.
+    pub fn new(in_the_air: bool, position: [f64; 3], error: f64, min: [f64; 3], max: [f64; 3]) -> SeenPlace {
+        let share = |axis: usize| {
+            let size = max[axis] - min[axis];
+            if size > 0.0 { (position[axis] - min[axis]) / size } else { 0.0 }
+        };
+        // A cast clips.
+        let place = [0, 1, 2].map(|axis| (share(axis) * f64::from(u16::MAX)).round() as u16);
+        SeenPlace { in_the_air, place, error: half::f16::from_f64(error.min(f64::from(half::f16::MAX))).to_bits() }
+    }
+
+    /// World metres, in that box.
+    pub fn position(&self, min: [f64; 3], max: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|axis| min[axis] + (max[axis] - min[axis]) * f64::from(self.place[axis]) / f64::from(u16::MAX))
+    }
+
+    /// The relative error.
+    pub fn error(&self) -> f64 {
+        half::f16::from_bits(self.error).to_f64()
+    }
 }
 
 /// Error of irradiance at held-out places, as the runtime reads the file, against the bake's own method: see [`crate::seen`].
@@ -494,6 +531,19 @@ mod tests {
         }
         let older = SettingsRecord { settings: Vec::new(), inputs: Vec::new(), ..record };
         assert_eq!(read(&bytes[..borders[0]]).unwrap(), older);
+    }
+
+    #[test]
+    fn seen_places_keep_their_place_and_error() {
+        let (min, max) = ([-1.0, 5.0, 1e6], [3.0, 5.0, 1e6 + 8.0]);
+        let position = [0.3, 5.0, 1e6 + 7.9];
+        let place = SeenPlace::new(true, position, 0.25, min, max);
+        assert_eq!(encode(&place).len(), 9);
+        assert_eq!(place.error(), 0.25);
+        for (found, expected) in place.position(min, max).into_iter().zip(position) {
+            assert!((found - expected).abs() <= 8.0 / 65535.0, "{found}, expected {expected}");
+        }
+        assert!(SeenPlace::new(false, position, 1e9, min, max).error().is_finite());
     }
 
     #[test]

@@ -21,13 +21,15 @@ use crate::bake::{
     BakeSettings, Baked, GatherSettings, Gathered, Nodes, SparseGrid, SurfacePlace, bake, irradiance_at, irradiance_of,
     root_mean_square,
 };
-use crate::job::records::{SeenErrors, SeenParts, SeenRecord, SeenSet};
+use crate::job::records::{SeenErrors, SeenParts, SeenPlace, SeenRecord, SeenSet};
 use crate::pack::volume_of;
 use crate::radiance::RadianceFunction;
 use crate::scene::Scene;
 use crate::{Control, Interrupted};
 use places::{in_the_air, on_surfaces};
 
+/// The worst places of either kind are kept: 576 bytes of a file. All of them would be a twentieth of a small one.
+const WORST: usize = 32;
 /// Places of either kind when nothing is said: a share of the nodes, within bounds.
 const SHARE: usize = 16;
 const LEAST: usize = 8;
@@ -124,8 +126,9 @@ impl HeldOut {
         self.rays
     }
 
-    /// The errors of a volume there. `file` is what an engine reads, `baked` was stored in it.
-    pub fn errors(&self, nodes: &Nodes, baked: &Baked, file: &Volume) -> SeenRecord {
+    /// The errors of a volume there, and the places where it is worst, those in the air first. `file` is what an engine reads,
+    /// `baked` was stored in it.
+    pub fn errors(&self, nodes: &Nodes, baked: &Baked, file: &Volume) -> (SeenRecord, Vec<SeenPlace>) {
         let here = volume_of(&points_of(&self.places), &self.baked);
         let exact = volume_of(nodes, baked);
         let sizes = |baked: &Baked| -> Vec<f64> {
@@ -165,9 +168,16 @@ impl HeldOut {
             .collect();
         let set = |in_the_air: bool| {
             let own: Vec<&Found> = found.iter().filter(|found| found.in_the_air == in_the_air).collect();
-            set_of(&own)
+            set_of(&own).unzip()
         };
-        SeenRecord { air: set(true), surfaces: set(false) }
+        let [(air, in_the_air), (surfaces, on_surfaces)] = [set(true), set(false)];
+        let gdibl_runtime::format::Header { min, max, .. } = *file.header();
+        let kinds = [(true, in_the_air), (false, on_surfaces)].into_iter();
+        let places =
+            kinds.flat_map(|(in_the_air, places)| places.into_iter().flatten().map(move |place| (in_the_air, place)));
+        let places =
+            places.map(|(air, (place, error))| SeenPlace::new(air, place.to_array(), error, min, max)).collect();
+        (SeenRecord { air, surfaces }, places)
     }
 }
 
@@ -204,8 +214,11 @@ impl Found {
     }
 }
 
+/// Places and their errors.
+type PlacesSeen = Vec<(DVec3, f64)>;
+
 /// `None` without a place that light reaches.
-fn set_of(all: &[&Found]) -> Option<SeenSet> {
+fn set_of(all: &[&Found]) -> Option<(SeenSet, PlacesSeen)> {
     let hidden = HIDDEN * median(all.iter().map(|found| found.light));
     let lit: Vec<&&Found> = all.iter().filter(|found| found.light > hidden).collect();
     let floor = FLOOR * median(lit.iter().map(|found| found.light));
@@ -222,7 +235,7 @@ fn set_of(all: &[&Found]) -> Option<SeenSet> {
         let sum: f64 = lit.iter().map(|found| square(found) / scale(found).powi(2)).sum();
         (sum / lit.len() as f64).max(0.0).sqrt()
     };
-    Some(SeenSet {
+    let set = SeenSet {
         places: lit.len() as u64,
         error: SeenErrors::of(lit.iter().map(|found| relative(found)))?,
         error_in_grey: SeenErrors::of(lit.iter().map(|found| error(found) / found.light.max(MID_GREY * mean)))?,
@@ -234,7 +247,11 @@ fn set_of(all: &[&Found]) -> Option<SeenSet> {
             packing: part(&|found| found.packing.powi(2)),
             systematic: part(&|found| (found.systematic * scale(found)).powi(2)),
         },
-    })
+    };
+    let mut places: PlacesSeen = lit.iter().map(|found| (found.position, relative(found))).collect();
+    places.sort_by(|a, b| b.1.total_cmp(&a.1));
+    places.truncate(WORST);
+    Some((set, places))
 }
 
 fn size(irradiance: Vec3) -> f64 {
@@ -315,7 +332,7 @@ mod tests {
         for (name, size) in sizes {
             for (noise, noise_of_truth) in [(0.0055, 0.007), (0.003, 0.007), (0.0055, 0.01)] {
                 let (found, own) = found(noise, noise_of_truth, size);
-                let said = set_of(&found.iter().collect::<Vec<_>>()).expect("places that are lit").error;
+                let said = set_of(&found.iter().collect::<Vec<_>>()).expect("places that are lit").0.error;
                 let own = SeenErrors::of(own.into_iter()).expect("as many");
                 for (which, said, is) in [("median", said.median, own.median), ("95 %", said.p95, own.p95)] {
                     let ratio = said / is;

@@ -57,6 +57,18 @@ if ( one.header.kind === 'grid' ) {
 
 }
 
+// Nodes say what the volume says where they are, unless a wall or a neighbour has a share in it.
+const up = new Float32Array( [ 0, 1, 0, 1, 0, 0 ] );
+const nodes = volume.nodes( 0, volume.nodeCount, up );
+assert.equal( nodes.positions.length, 3 * volume.nodeCount );
+const { min, max } = volume.header;
+nodes.positions.forEach( ( p, k ) => assert( p >= min[ k % 3 ] - 1e-6 && p <= max[ k % 3 ] + 1e-6 ) );
+assert( nodes.irradiance.every( Number.isFinite ) && nodes.validity.every( ( v ) => v <= 1 ) );
+const fourth = volume.nodes( 3, 4, up );
+assert.deepEqual( fourth.irradiance, nodes.irradiance.slice( 18, 24 ) );
+assert.deepEqual( fourth.positions, nodes.positions.slice( 9, 12 ) );
+assert.throws( () => volume.nodes( 0, volume.nodeCount + 1 ), /nodes 0 to/ );
+
 // What was freed is used again: as many volumes as would fill the memory otherwise.
 const before = gdibl.exports.memory.buffer.byteLength;
 for ( let k = 0; k < 1000; k ++ ) gdibl.parse( bytes ).free();

@@ -24,7 +24,7 @@
 
 const KINDS = [ 'grid', 'points', 'vertices', 'sparse' ];
 const MESSAGE_BYTES = 512;
-const FLOAT = 4, POINTER = 4, HEADER_BYTES = 72;
+const FLOAT = 4, POINTER = 4, HEADER_BYTES = 72, POSITION_BYTES = 24, SAMPLE_BYTES = 312, VALIDITY_AT = 304;
 
 /** Loads the module from its bytes, or from the file of its name beside this one. */
 export async function loadGdibl( bytes ) {
@@ -147,6 +147,38 @@ class Volume {
 	irradianceBatch( positions, normals, result = new Float32Array( positions.length ) ) {
 
 		return this.gdibl.ask( 'gdibl_irradiance_batch', this.address, positions, normals, result );
+
+	}
+
+	/**
+	 * Nodes `from` up to, not including, `to`: `positions` (x, y, z after x, y, z), `validity` (1 where a node was baked, 0 where
+	 * it was filled from its neighbours), and `irradiance`, for each node at each of these unit normals.
+	 */
+	nodes( from, to, normals = new Float32Array( 0 ) ) {
+
+		const { exports } = this.gdibl, count = to - from, directions = normals.length / 3;
+		if ( this.address === 0 ) throw new Error( 'the volume was freed' );
+		if ( ! ( from >= 0 && from <= to && to <= this.nodeCount ) ) throw new RangeError( `nodes ${ from } to ${ to } of ${ this.nodeCount }` );
+		const found = { positions: new Float64Array( 3 * count ), validity: new Uint8Array( count ), irradiance: new Float32Array( 3 * count * directions ) };
+		const sizes = [ POSITION_BYTES * count, SAMPLE_BYTES, FLOAT * normals.length, FLOAT * found.irradiance.length ];
+		return this.gdibl.borrow( sizes, ( places, sample, normal, light ) => {
+
+			const memory = exports.memory.buffer;
+			new Float32Array( memory, normal, normals.length ).set( normals );
+			const validity = new Float32Array( memory, sample + VALIDITY_AT, 1 );
+			for ( let k = 0; k < count; k ++ ) {
+
+				exports.gdibl_node( this.address, from + k, places + POSITION_BYTES * k, sample );
+				found.validity[ k ] = validity[ 0 ];
+				for ( let n = 0; n < directions; n ++ ) exports.gdibl_evaluate( sample, normal + 3 * FLOAT * n, light + 3 * FLOAT * ( k * directions + n ) );
+
+			}
+
+			found.positions.set( new Float64Array( memory, places, 3 * count ) );
+			found.irradiance.set( new Float32Array( memory, light, found.irradiance.length ) );
+			return found;
+
+		} );
 
 	}
 

@@ -112,7 +112,7 @@ fn volume_lights_the_objects_that_an_engine_would_light() {
     folder.constant("other.exr", [0.1, 1.5, 0.2], [8.0, 8.0, 8.0]);
     let grid = ["--bounds", "-1,-1,-1,1,1,1", "--counts", "2,2,2", "--samples", "64", "-o", "light.gdibl"];
     folder.bake(&[&["room.glb", "--probes", "other.exr", "--scene", "recurse:1"], &grid[..]].concat());
-    report(&folder, &["--volume", "light.gdibl", "-o", "out.exr"]);
+    report(&folder, &["--volume", "light.gdibl", "--objects-only", "-o", "out.exr"]);
     let picture = read(&folder, "out.exr");
     assert!((picture.image.pixels[0][2] - 4.0).abs() < 1e-3, "the wall is the probe's: {:?}", picture.image.pixels[0]);
     let middle = picture.image.pixels[8 * 24 + 12];
@@ -120,7 +120,7 @@ fn volume_lights_the_objects_that_an_engine_would_light() {
     // A box that is too small is said.
     let grid = ["--bounds", "0.6,0.6,0.6,0.9,0.9,0.9", "--counts", "2,2,2", "--samples", "64", "-o", "small.gdibl"];
     folder.bake(&[&["room.glb", "--probes", "other.exr"], &grid[..]].concat());
-    let run = render(&folder, &["--volume", "small.gdibl", "-o", "out.exr"]);
+    let run = render(&folder, &["--volume", "small.gdibl", "--objects-only", "-o", "out.exr"]);
     assert!(run.code == 0 && run.err.contains("out of the volume's box"), "{}", run.err);
 }
 

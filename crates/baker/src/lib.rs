@@ -46,6 +46,7 @@ mod colour;
 mod control;
 pub mod cut;
 mod disjoint;
+pub mod drawn;
 pub mod error;
 pub mod exposure;
 pub mod import;

@@ -1,18 +1,20 @@
-//! `gdibl render`: a picture of a level in its probes' light.
+//! `gdibl render`: a picture of a level in its probes' light, by path tracing, or of what a volume shows and says.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use gdibl_baker::analyse::{Figure, Figures};
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::image::{MAX_PIXELS, Pose, SampleFormat, write_exr, write_exr_picture, write_png};
+use gdibl_baker::job::records::{SeenPlace, StatisticsRecord};
 use gdibl_baker::job::{Decided, Method, Viewers, Work, with_function};
 use gdibl_baker::panorama::{Image, Mapping};
 use gdibl_baker::radiance::RadianceFunction;
-use gdibl_baker::render::{Camera, Picture, RenderSettings, render, tone};
+use gdibl_baker::render::{self, Camera, Picture, RenderSettings, Scale, Sphere, SphereLook, VolumeLight, slice, tone};
 use gdibl_baker::scene::{Role, Scene};
 use gdibl_baker::{Control, Finding};
-use gdibl_runtime::Volume;
+use gdibl_runtime::{Volume, format};
 use glam::DVec3;
 use serde::Serialize;
 
@@ -43,9 +45,8 @@ pub struct Arguments {
     /// Scene geometry, and mirrors, that light may come by way of; what is left then is black [default: 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=64))]
     depth: Option<u32>,
-    /// Light scene geometry from this volume, as an engine would, instead of by rays
-    #[arg(long, value_name = "FILE.gdibl")]
-    volume: Option<PathBuf>,
+    #[command(flatten)]
+    shown: ShownFlags,
     #[command(flatten)]
     light: LightFlags,
     #[command(flatten)]
@@ -56,6 +57,36 @@ pub struct Arguments {
     /// No progress bar
     #[arg(long)]
     quiet: bool,
+}
+
+/// What is shown of a volume.
+#[derive(clap::Args)]
+pub struct ShownFlags {
+    /// Light every surface from this volume, as an engine shows it
+    #[arg(long, value_name = "FILE.gdibl")]
+    volume: Option<PathBuf>,
+    /// Light scene geometry (gdibl_role = "scene") alone from the volume, all else by rays
+    #[arg(long, requires = "volume", conflicts_with_all = ["nodes", "show", "slice"])]
+    objects_only: bool,
+    /// Draw the volume's nodes as white spheres in their own light, or in the colours of what is shown
+    #[arg(long, requires = "volume")]
+    nodes: bool,
+    /// Show in place of light what nodes say of themselves: noise, systematic, coverage; or seen: the error at the worst places
+    /// between nodes. A PNG has colours, an EXR the numbers
+    #[arg(long, value_name = "WHAT", requires = "volume")]
+    show: Option<Show>,
+    /// A plane across the volume instead of a camera's picture: x=1.5, y=1.6, z=-2, metres
+    #[arg(long, value_name = "AXIS=AT", requires = "volume", value_parser = parse_slice,
+          conflicts_with_all = ["nodes", "eye", "target", "fov", "panorama"])]
+    slice: Option<(usize, f64)>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Show {
+    Noise,
+    Systematic,
+    Seen,
+    Coverage,
 }
 
 #[derive(clap::Args)]
@@ -85,6 +116,8 @@ struct Report {
     samples: u32,
     /// Of a PNG.
     exposure_stops: Option<f32>,
+    /// Of a PNG of numbers: those shown darkest and brightest.
+    scale: Option<[f32; 2]>,
     /// Share of the light that nothing tells of; it is black.
     uncovered: f64,
     rays: u64,
@@ -118,41 +151,59 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     set_threads(&config.settings)?;
 
     // Everything is read and refused before the first ray.
-    let volume = arguments.volume.as_deref().map(read_volume).transpose()?;
+    let shown = &arguments.shown;
+    let volume = shown.volume.as_deref().map(read_volume).transpose()?;
+    let light = volume.as_ref().map(|volume| light_of(volume, shown, file_type)).transpose()?;
+    let scale = light.as_ref().and_then(|light| light.scale);
+    let light = light.map(|light| light.light);
+    if let (Some((axis, at)), Some(light)) = (shown.slice, &light) {
+        return write_slice(light, scale, [axis as f64, at], &arguments, &output);
+    }
     // A picture shows the level's own surfaces from near.
     let mut inputs = read_inputs(&config, TextureNeeds::All)?;
     let method = inputs.method(&config.settings);
     let camera = camera_of(&arguments.camera, &inputs.scene)?;
     let settings = settings_of(&arguments, &config, &camera);
     if let Some(volume) = &volume {
-        inputs.findings.extend(findings_of_volume(volume, &inputs.scene));
+        inputs.findings.extend(findings_of_volume(&volume.volume, shown.objects_only, &inputs.scene));
     }
     session.find(&inputs.findings);
-    inputs.check_light(method)?;
+    if !shown.lights_all() {
+        inputs.check_light(method)?;
+    }
     super::check_output(&output)?;
     if method == Method::Gdibl && inputs.lacks_probes() {
         capture_missing(&config, &mut inputs, &session.cancel, arguments.quiet)?;
     }
 
-    let shot = Shot { volume: volume.as_ref(), camera: &camera, settings: &settings, session, quiet: arguments.quiet };
+    let shot = Shot { volume: light.as_ref(), camera: &camera, settings: &settings, session, quiet: arguments.quiet };
     // A picture shows every pixel of a probe as it is; what probes do not see is found from where it is taken.
     let place = camera.position();
     let viewers = Viewers { directions: 0, coarsest: f32::INFINITY, places: vec![place] };
     let picture = with_function(&inputs, inputs.distant.as_ref(), &config.settings, &viewers, shot)?;
     let exposure_stops = match file_type {
+        FileType::Png if scale.is_some() => None,
         FileType::Png => Some(arguments.exposure.unwrap_or_else(|| tone::automatic_exposure_stops(&picture.image))),
         FileType::Exr => None,
     };
     if session.cancel.load(Ordering::Relaxed) {
         return Err(Fault::Interrupted);
     }
-    write(&output, &picture.image, &camera, exposure_stops)?;
+    match scale {
+        Some(_) => write_plain(&output, &picture.image)?,
+        None => write(&output, &picture.image, &camera, exposure_stops)?,
+    }
 
     let report = Report {
         output: output.display().to_string(),
         size: [settings.width, settings.height],
         camera: CameraReport::of(&camera),
-        method: if method == Method::Path { "path" } else { "gdibl" },
+        method: match method {
+            _ if shown.lights_all() => "volume",
+            Method::Path => "path",
+            _ => "gdibl",
+        },
+        scale: scale.map(|scale| [scale.good, scale.bad]),
         samples: settings.samples,
         exposure_stops,
         uncovered: picture.uncovered,
@@ -169,6 +220,10 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
 /// picture, by the input's name: for pictures from all sides.
 fn config_of(arguments: &Arguments, output: &Path) -> Result<Config, Fault> {
     let mut given = arguments.settings.given.clone();
+    if arguments.shown.lights_all() {
+        // No light but the volume's is asked for: what probes show would only be read.
+        given.push(Given::new("quality", "method", "path"));
+    }
     given.extend(arguments.depth.map(|depth| Given::new("quality", "scene", format!("recurse:{depth}"))));
     let stem = arguments.input.file_stem().unwrap_or_default();
     let beside = output.with_file_name(stem).with_extension("gdibl");
@@ -211,7 +266,7 @@ pub fn camera_of(flags: &CameraFlags, scene: &Scene) -> Result<Camera, Fault> {
 
 /// A picture to be taken.
 struct Shot<'a> {
-    volume: Option<&'a Volume>,
+    volume: Option<&'a VolumeLight<'a>>,
     camera: &'a Camera,
     settings: &'a RenderSettings,
     session: &'a Session,
@@ -225,7 +280,7 @@ impl Work for Shot<'_> {
         let progress = Progress::new("pixels", (self.settings.width * self.settings.height) as u64, self.quiet);
         let advance = |pixels, rays| progress.advance(pixels, rays);
         let control = Control { cancel: &self.session.cancel, progress: &advance };
-        let picture = render(function, self.volume, self.camera, self.settings, &control);
+        let picture = render::render(function, self.volume, self.camera, self.settings, &control);
         let picture = picture.map_err(|_| Fault::Interrupted)?;
         progress.finish();
         if picture.uncovered >= 1.0 {
@@ -239,22 +294,155 @@ impl Work for Shot<'_> {
     }
 }
 
-fn read_volume(path: &Path) -> Result<Volume, Fault> {
-    Volume::parse(&super::read_volume_bytes(path)?).map_err(|error| super::volume_fault(path, &error))
+/// A volume, and what it says of its nodes.
+struct ReadVolume {
+    volume: Volume,
+    figures: Figures,
+    seen: Vec<SeenPlace>,
+}
+
+fn read_volume(path: &Path) -> Result<ReadVolume, Fault> {
+    let bytes = super::read_volume_bytes(path)?;
+    let fault = |error: gdibl_runtime::Error| super::volume_fault(path, &error);
+    let directory = format::parse_header_and_sections(&bytes).map_err(fault)?;
+    let volume = Volume::parse(&bytes).map_err(fault)?;
+    let mut figures = Figures::read(&directory, &volume).map_err(fault)?;
+    figures.forget_filled(&volume);
+    let statistics: Option<StatisticsRecord> = super::record(&directory, path, format::STATISTICS)?;
+    Ok(ReadVolume { figures, seen: statistics.map(|all| all.seen_places).unwrap_or_default(), volume })
+}
+
+/// What a picture takes from a volume, and the scale of its colours.
+struct Light<'a> {
+    light: VolumeLight<'a>,
+    scale: Option<Scale>,
+}
+
+impl ShownFlags {
+    /// Surfaces show the volume, and nothing else.
+    fn lights_all(&self) -> bool {
+        self.volume.is_some() && !self.objects_only
+    }
+}
+
+/// Spheres of nodes are so large, of the distance to the next node.
+const NODE_RADIUS: f64 = 0.08;
+/// And those of places between nodes.
+const PLACE_RADIUS: f64 = 0.2;
+
+fn light_of<'a>(read: &'a ReadVolume, shown: &ShownFlags, file_type: FileType) -> Result<Light<'a>, Fault> {
+    let ReadVolume { volume, figures, seen } = read;
+    let mut light = VolumeLight { objects_only: shown.objects_only, ..VolumeLight::of(volume) };
+    let spacing =
+        volume.grid().map(|grid| grid.spacing().into_iter().filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min));
+    let spacing = spacing.filter(|spacing| spacing.is_finite()).unwrap_or(1.0);
+    let missing = |what: &str| Fault::Usage(format!("--show {what}: the volume says nothing of it"));
+    let mut scale = None;
+    match shown.show {
+        None => {}
+        Some(Show::Seen) => {
+            let errors: Vec<f32> = seen.iter().map(|place| place.error() as f32).collect();
+            let own = Scale::of_errors(&errors);
+            scale = (file_type == FileType::Png).then_some(own);
+            let header = volume.header();
+            light.spheres.extend(seen.iter().zip(&errors).map(|(place, error)| Sphere {
+                centre: place.position(header.min, header.max).into(),
+                radius: PLACE_RADIUS * spacing,
+                look: SphereLook::Plain(scale.map_or([*error; 3], |scale| scale.colour(*error))),
+            }));
+            if seen.is_empty() {
+                return Err(missing("seen"));
+            }
+        }
+        Some(show) => {
+            let (name, figure) = match show {
+                Show::Noise => ("noise", Figure::Noise),
+                Show::Systematic => ("systematic", Figure::Systematic),
+                _ => ("coverage", Figure::Coverage),
+            };
+            let values = figures.of(figure).ok_or_else(|| missing(name))?;
+            let own = if figure == Figure::Coverage { Scale { good: 1.0, bad: 0.0 } } else { Scale::of_errors(values) };
+            scale = (file_type == FileType::Png).then_some(own);
+            light.figures = Some(render::Figures { values, scale });
+        }
+    }
+    if shown.nodes {
+        let look = |node: usize| match &light.figures {
+            None => SphereLook::Light(node),
+            Some(figures) => SphereLook::Plain(figures.shown(figures.values[node]).to_array()),
+        };
+        let size = |node: usize| figures.of(Figure::CellSize).map_or(1.0, |sizes| f64::from(sizes[node]));
+        let sphere = |node: usize| Sphere {
+            centre: volume.node_position(node).into(),
+            radius: NODE_RADIUS * spacing * size(node),
+            look: look(node),
+        };
+        light.spheres.extend((0..volume.node_count()).map(sphere));
+    }
+    Ok(Light { light, scale })
+}
+
+/// A plane across the volume: no ray is traced.
+fn write_slice(
+    light: &VolumeLight,
+    scale: Option<Scale>,
+    [axis, at]: [f64; 2],
+    arguments: &Arguments,
+    output: &Path,
+) -> Result<Outcome, Fault> {
+    super::check_output(output)?;
+    let longest = arguments.size.map_or(LONGEST_SLICE, |[width, height]| width.max(height));
+    let image = slice(light, axis as usize, at, longest);
+    let is_png = file_type(output)? == FileType::Png;
+    let exposure_stops = (is_png && scale.is_none())
+        .then(|| arguments.exposure.unwrap_or_else(|| tone::automatic_exposure_stops(&image)));
+    match scale {
+        Some(_) => write_plain(output, &image)?,
+        None => write(output, &image, &Camera::inside(DVec3::ZERO, DVec3::ONE, 60.0), exposure_stops)?,
+    }
+    let report = SliceReport {
+        output: output.display().to_string(),
+        size: [image.width, image.height],
+        slice: format!("{}={at}", ["x", "y", "z"][axis as usize]),
+        exposure_stops,
+        scale: scale.map(|scale| [scale.good, scale.bad]),
+    };
+    let mut text = format!("{}\n  slice      {}, {} x {}", report.output, report.slice, image.width, image.height);
+    text += &report.scale.map_or(String::new(), scale_text);
+    Ok(Outcome::new(report, text))
+}
+
+/// Pixels along the longer side of a slice when nothing is said.
+const LONGEST_SLICE: usize = 512;
+
+/// What `--json` prints of a slice.
+#[derive(Serialize)]
+struct SliceReport {
+    output: String,
+    size: [usize; 2],
+    slice: String,
+    exposure_stops: Option<f32>,
+    scale: Option<[f32; 2]>,
+}
+
+fn scale_text([good, bad]: [f32; 2]) -> String {
+    format!("\n  colours    from dark, {:.3} %, to bright, {:.3} %", good * 100.0, bad * 100.0)
 }
 
 /// Says where the volume has nothing to do, or not everything.
-fn findings_of_volume(volume: &Volume, scene: &Scene) -> Option<Finding> {
-    let finding = |message: &str| Some(Finding::new("volume-of-picture", 1, message));
-    let Some((min, max)) = scene.bounds(|mesh| mesh.role == Role::Scene) else {
-        return finding("--volume lights scene geometry (gdibl_role = \"scene\"), and the level has none");
+fn findings_of_volume(volume: &Volume, objects_only: bool, scene: &Scene) -> Option<Finding> {
+    let finding = |message: String| Some(Finding::new("volume-of-picture", 1, message));
+    let what = if objects_only { "scene geometry reaches" } else { "surfaces reach" };
+    let Some((min, max)) = scene.bounds(|mesh| !objects_only || mesh.role == Role::Scene) else {
+        let why = "--objects-only lights scene geometry (gdibl_role = \"scene\"), and the level has none";
+        return objects_only.then(|| finding(why.into())).flatten();
     };
     let header = volume.header();
     let inside = DVec3::from(header.min).cmple(min).all() && DVec3::from(header.max).cmpge(max).all();
     if inside {
         return None;
     }
-    finding("scene geometry reaches out of the volume's box; there it gets the nearest light of the box")
+    finding(format!("{what} out of the volume's box; there the nearest light of the box is shown"))
 }
 
 fn file_type(output: &Path) -> Result<FileType, Fault> {
@@ -276,6 +464,18 @@ fn write(output: &Path, image: &Image, camera: &Camera, exposure_stops: Option<f
         }
     };
     written.map_err(Fault::from_writing)
+}
+
+/// Colours as they are meant.
+fn write_plain(output: &Path, image: &Image) -> Result<(), Fault> {
+    write_png(output, image.width, image.height, &tone::plain(image)).map_err(Fault::from_writing)
+}
+
+fn parse_slice(text: &str) -> Result<(usize, f64), String> {
+    let (axis, at) = text.split_once('=').ok_or("expected an axis and a place on it, such as y=1.6")?;
+    let axis = ["x", "y", "z"].iter().position(|name| *name == axis).ok_or("expected x, y or z before the =")?;
+    let at = at.parse().ok().filter(|at: &f64| at.is_finite());
+    Ok((axis, at.ok_or("expected metres after the =")?))
 }
 
 pub fn parse_size(text: &str) -> Result<[usize; 2], String> {
@@ -337,6 +537,7 @@ fn text(report: &Report, automatic: bool) -> String {
         let why = if automatic { " (automatic)" } else { "" };
         lines.push(format!("  exposure   {stops:+.2} stops{why}"));
     }
+    lines.extend(report.scale.map(|scale| scale_text(scale).trim_start_matches('\n').to_owned()));
     // What rounds to nothing is nothing.
     if report.uncovered >= 5e-5 {
         let share = report.uncovered * 100.0;

@@ -34,6 +34,12 @@ struct Document {
     radiance: Vec<Vec<[f32; 3]>>,
     /// Of each node: the share that was baked.
     validity: Vec<f32>,
+    /// Of each node: the share of what it sees that some probe has seen. Absent: all of it, everywhere.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    coverage: Vec<f32>,
+    /// Of each node: one standard error of irradiance, relative. Absent: not measured.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    relative_error: Vec<f32>,
 }
 
 /// Nodes `first` to `first + count - 1` are the vertices of a primitive, in the level's order.
@@ -62,14 +68,23 @@ fn grid(volume: &Volume, settings: &Settings) -> Result<Export, Error> {
     let truth = Truth::of_volume(volume);
     let error = truth.loss(|position, normal| exr::irradiance(&light, position, normal));
     let Grid { min, max, counts } = light.grid;
+    let places: Vec<[f64; 3]> = (0..light.nodes.len()).map(|i| light.grid.node_position(i)).collect();
     let document = Document {
         kind: "grid",
         counts,
         min,
         max,
-        positions: (0..light.nodes.len()).map(|i| light.grid.node_position(i)).collect(),
+        positions: places.clone(),
         radiance: light.nodes.iter().map(coefficients).collect(),
         validity: light.validity,
+        coverage: coverage(places.iter().map(|place| between(volume, *place, |node| volume.node_coverage(node)))),
+        relative_error: match volume.node_relative_error(0) {
+            None => Vec::new(),
+            Some(_) => {
+                let error = |node: usize| volume.node_relative_error(node).unwrap_or(0.0);
+                places.iter().map(|place| between(volume, *place, error)).collect()
+            }
+        },
         ..empty(volume)
     };
     let report = Report {
@@ -99,6 +114,8 @@ fn places(volume: &Volume, settings: &Settings) -> Export {
             .collect(),
         radiance: nodes.clone().map(|i| coefficients(&volume.node_sh(i))).collect(),
         validity: nodes.clone().map(|i| if volume.is_valid(i) { 1.0 } else { 0.0 }).collect(),
+        coverage: coverage(nodes.clone().map(|i| volume.node_coverage(i))),
+        relative_error: nodes.clone().filter_map(|i| volume.node_relative_error(i)).collect(),
         ..empty(volume)
     };
     let truth = Truth::at(volume, nodes.map(|i| (volume.node_position(i), normal(i))).collect());
@@ -134,7 +151,27 @@ fn empty(volume: &Volume) -> Document {
         vertex_sets: Vec::new(),
         radiance: Vec::new(),
         validity: Vec::new(),
+        coverage: Vec::new(),
+        relative_error: Vec::new(),
     }
+}
+
+/// What baked nodes around a place say; where none is near, what the filled ones do.
+fn between(volume: &Volume, place: [f64; 3], of: impl Fn(usize) -> f32) -> f32 {
+    let Some(cell) = volume.cell(place) else { return 0.0 };
+    let around = cell.nodes.iter().map(|node| *node as usize).zip(cell.weights);
+    let mean = |around: &mut dyn Iterator<Item = (usize, f32)>| {
+        let (sum, total) = around.fold((0.0, 0.0), |(sum, total), (node, w)| (sum + w * of(node), total + w));
+        (total > 0.0).then(|| sum / total)
+    };
+    let baked = mean(&mut around.clone().filter(|(node, _)| volume.is_valid(*node)));
+    baked.or_else(|| mean(&mut around.clone())).unwrap_or(0.0)
+}
+
+/// Empty where all is covered.
+fn coverage(values: impl Iterator<Item = f32>) -> Vec<f32> {
+    let values: Vec<f32> = values.collect();
+    if values.iter().all(|value| *value == 1.0) { Vec::new() } else { values }
 }
 
 fn coefficients(sh: &RadianceSh) -> Vec<[f32; 3]> {

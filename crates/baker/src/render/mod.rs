@@ -5,7 +5,8 @@
 //! | the ray meets | and shows |
 //! |---|---|
 //! | environment geometry | the probes that see it, blended; what scene geometry changes there, by a walk of the ray's own |
-//! | scene geometry | emission + albedo/π · E: E by one ray per sample that goes on, or from a baked volume |
+//! | scene geometry | emission + albedo/π · E: E by one ray per sample that goes on |
+//! | any surface, given a volume | emission + albedo/π · E of the volume, as an engine shows it; see [`VolumeLight`] |
 //! | a mirror, see [`Material::is_mirror`](crate::scene::Material::is_mirror) | what lies in the mirror direction, × base colour |
 //! | nothing | the distant panorama |
 //!
@@ -16,14 +17,21 @@
 //! tracer, 50 rays per sample, three levels deep).
 
 mod camera;
+mod heat;
+mod slice;
 pub mod tone;
+mod volume;
 
-use gdibl_runtime::Volume;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 pub use camera::Camera;
 use camera::Lens;
+pub use heat::Scale;
+pub use slice::slice;
+use std::cell::Cell;
+use volume::Spheres;
+pub use volume::{Figures, Sphere, SphereLook, VolumeLight};
 
 use crate::panorama::Image;
 use crate::radiance::{PathContext, Radiance, RadianceFunction, Seen};
@@ -66,10 +74,10 @@ pub struct Picture {
     pub rays: u64,
 }
 
-/// Takes a picture. `volume`: lights dull scene geometry instead of the radiance function.
+/// Takes a picture. `volume`: lights dull surfaces instead of the radiance function; all of them where that is path tracing.
 pub fn render(
     function: &impl RadianceFunction,
-    volume: Option<&Volume>,
+    volume: Option<&VolumeLight>,
     camera: &Camera,
     settings: &RenderSettings,
     control: &Control,
@@ -77,7 +85,9 @@ pub fn render(
     let RenderSettings { width, height, samples, .. } = *settings;
     assert!(width > 0 && height > 0, "a picture of {width} x {height} pixels");
     assert!(samples > 0, "no sample per pixel");
-    let renderer = Renderer { function, volume, lens: camera.lens(width, height, function.frame()), settings, control };
+    let frame = function.frame();
+    let spheres = volume.and_then(|volume| Spheres::new(&volume.spheres, frame));
+    let renderer = Renderer { function, volume, spheres, lens: camera.lens(width, height, frame), settings, control };
     let pixels: Result<Vec<Pixel>, Interrupted> =
         (0..width * height).into_par_iter().with_max_len(256).map(|number| renderer.pixel(number)).collect();
     let pixels = pixels?;
@@ -99,7 +109,8 @@ struct Pixel {
 
 struct Renderer<'a, F> {
     function: &'a F,
-    volume: Option<&'a Volume>,
+    volume: Option<&'a VolumeLight<'a>>,
+    spheres: Option<Spheres>,
     lens: Lens,
     settings: &'a RenderSettings,
     control: &'a Control<'a>,
@@ -141,7 +152,18 @@ impl<F: RadianceFunction> Renderer<'_, F> {
     }
 
     fn look(&self, view: View, origin: Vec3, direction: Vec3, context: &mut PathContext) -> Radiance {
-        self.function.look(origin, direction, context, |seen, context| self.shade(view, seen, context))
+        let sphere = self.spheres.as_ref().and_then(|spheres| spheres.nearest(origin, direction)).zip(self.volume);
+        let Some(((far, normal, look), light)) = sphere else {
+            return self.function.look(origin, direction, context, |seen, context| self.shade(view, seen, context));
+        };
+        let shown = light.sphere(look, normal);
+        // A surface may stand before it.
+        let hidden = Cell::new(false);
+        let found = self.function.look(origin, direction, context, |seen, context| {
+            hidden.set((seen.position() - origin).dot(direction) < far);
+            if hidden.get() { self.shade(view, seen, context) } else { Some(Radiance::covered(shown)) }
+        });
+        if hidden.get() { found } else { Radiance::covered(shown) }
     }
 
     /// Mirrors, and what a volume lights; everything else is the radiance function's.
@@ -157,12 +179,8 @@ impl<F: RadianceFunction> Renderer<'_, F> {
             context.stream = stream;
             return Some(Radiance { value: seen.emission() + color * arriving.value, ..arriving });
         }
-        let volume = self.volume.filter(|_| seen.role() == Role::Scene)?;
-        let normal = seen.normal();
+        let light = self.volume.filter(|light| !light.objects_only || seen.role() == Role::Scene)?;
         let position = self.function.frame().to_world(seen.position());
-        let light = volume.sample_f64(position.into(), normal.into()).sh.convolve();
-        // A few bands ring below 0 on the side away from something bright.
-        let irradiance = Vec3::from(light.evaluate(normal.into())).max(Vec3::ZERO);
-        Some(Radiance::covered(seen.emission() + seen.albedo() * irradiance * std::f32::consts::FRAC_1_PI))
+        Some(Radiance::covered(light.surface(position, seen.normal(), seen.albedo(), seen.emission())))
     }
 }

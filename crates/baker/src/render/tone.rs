@@ -30,6 +30,11 @@ pub fn display(image: &Image, exposure_stops: f32) -> Vec<[u8; 3]> {
     image.pixels.iter().map(pixel).collect()
 }
 
+/// Colours that are meant as they are, 0..=1: sRGB, 8 bit.
+pub fn plain(image: &Image) -> Vec<[u8; 3]> {
+    image.pixels.iter().map(|pixel| pixel.map(srgb)).collect()
+}
+
 /// Khronos PBR Neutral: 0.. → 0..1 per channel. The constants are the specification's.
 fn pbr_neutral(color: Vec3) -> Vec3 {
     const FRESNEL: f32 = 0.04;

@@ -4,7 +4,7 @@ use gdibl_baker::bake::{BakeSettings, Nodes, grid_of_counts};
 use gdibl_baker::radiance::RadianceFunction;
 use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings, SceneHit};
 use gdibl_baker::radiance::path::{Path, PathSettings};
-use gdibl_baker::render::{Camera, Picture, RenderSettings, render};
+use gdibl_baker::render::{Camera, Picture, RenderSettings, Sphere, SphereLook, VolumeLight, render};
 use gdibl_baker::sampling::fibonacci_sphere;
 use gdibl_baker::scene::{Material, Mesh, Role, Scene};
 use gdibl_baker::{Control, Interrupted};
@@ -34,7 +34,7 @@ fn picture(function: &impl RadianceFunction, camera: &Camera, settings: &RenderS
 
 fn picture_by(
     function: &impl RadianceFunction,
-    volume: Option<&Volume>,
+    volume: Option<&VolumeLight>,
     camera: &Camera,
     settings: &RenderSettings,
 ) -> Picture {
@@ -42,6 +42,11 @@ fn picture_by(
     let picture = render(function, volume, camera, settings, &control).expect("nobody interrupts");
     assert_eq!(picture.image.pixels.len(), settings.width * settings.height);
     picture
+}
+
+/// As the report's experiment has it.
+fn objects_by(volume: &Volume) -> VolumeLight<'_> {
+    VolumeLight { objects_only: true, ..VolumeLight::of(volume) }
 }
 
 /// Adds triangles of their own material.
@@ -289,7 +294,7 @@ fn dull_objects_are_lit_by_the_volume_where_one_is_given() {
     for (eye, lobe) in [(DVec3::Y, 1.0 + 2.0 / 3.0), (DVec3::NEG_Y, 1.0 - 2.0 / 3.0), (DVec3::X, 1.0)] {
         // One face fills the picture.
         let camera = look(eye * 1.5, DVec3::ZERO, 30.0);
-        let found = picture_by(&function, Some(&volume), &camera, &SETTINGS);
+        let found = picture_by(&function, Some(&objects_by(&volume)), &camera, &SETTINGS);
         let expected = 0.4 * Vec3::new(lobe, 3.0 * lobe, 0.5);
         let error = worst(&found, |_, _| expected);
         println!("volume from {eye}: {error:.1e}");
@@ -299,8 +304,38 @@ fn dull_objects_are_lit_by_the_volume_where_one_is_given() {
         assert!(without.image.pixels.iter().all(|pixel| *pixel == [0.0; 3]), "the probes are black");
     }
     // Environment geometry shows its probes in any case.
-    let wall = picture_by(&function, Some(&volume), &look(DVec3::splat(2.0), DVec3::splat(2.5), 30.0), &SETTINGS);
+    let wall =
+        picture_by(&function, Some(&objects_by(&volume)), &look(DVec3::splat(2.0), DVec3::splat(2.5), 30.0), &SETTINGS);
     assert!(wall.image.pixels.iter().all(|pixel| *pixel == [0.0; 3]));
+}
+
+#[test]
+fn every_surface_is_lit_by_the_volume_as_an_engine_shows_it() {
+    // As above: E(n) = π (1 + ⅔ n.y). No other light is there, and none is needed.
+    let sky = distant(panorama(256, |d| [1.0 + d.y, 3.0 + 3.0 * d.y, 0.5]));
+    let nodes = Nodes::Grid(grid_of_counts(DVec3::splat(-2.0), DVec3::splat(2.0), [2; 3]));
+    let volume = volume_of(&nodes, &gdibl(&Scene::default(), &[], Some(&sky)), &BakeSettings { bands: 1, ..SMALL });
+    let mut scene = Scene::default();
+    add_of(&mut scene, Role::Environment, &box_of(DVec3::splat(-3.0), DVec3::splat(3.0)), dull(0.4));
+    let function = Path::new(&scene, None, PathSettings::default());
+    let light = VolumeLight::of(&volume);
+    for (target, lobe) in [(DVec3::Y, 1.0 - 2.0 / 3.0), (DVec3::NEG_Y, 1.0 + 2.0 / 3.0), (DVec3::X, 1.0)] {
+        let camera = look(DVec3::ZERO, target, 30.0);
+        let expected = 0.4 * Vec3::new(lobe, 3.0 * lobe, 0.5);
+        let error = worst(&picture_by(&function, Some(&light), &camera, &SETTINGS), |_, _| expected);
+        assert!(error < 0.02, "toward {target}: {error}");
+    }
+    // A node before a wall is seen, one behind it is not.
+    let node = (0..8).find(|node| volume.node_position(*node) == [-2.0; 3]).expect("a corner");
+    for (distance, is_seen) in [(2.0, true), (4.0, false)] {
+        let sphere = Sphere { centre: DVec3::X * distance, radius: 0.5, look: SphereLook::Light(node) };
+        let light = VolumeLight { spheres: vec![sphere], ..light.clone() };
+        let found = picture_by(&function, Some(&light), &look(DVec3::ZERO, DVec3::X, 5.0), &SETTINGS);
+        // The sphere is white, the wall not.
+        let expected = if is_seen { 1.0 } else { 0.4 } * Vec3::new(1.0, 3.0, 0.5);
+        let error = worst(&found, |_, _| expected);
+        assert!(error < 0.1, "a node {distance} m away: {error}");
+    }
 }
 
 #[test]

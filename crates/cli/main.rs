@@ -8,6 +8,7 @@ mod flags;
 mod hashes;
 mod inputs;
 mod progress;
+mod report;
 mod session;
 mod stages;
 mod study;
@@ -80,7 +81,7 @@ fn main() -> ExitCode {
         Verb::Bake(arguments) => commands::bake::run(*arguments, &session),
         Verb::Capture(arguments) => commands::capture::run(*arguments, &session),
         Verb::Probes(arguments) => commands::probes::run(*arguments, &session),
-        Verb::Inspect(arguments) => commands::inspect::run(arguments),
+        Verb::Inspect(arguments) => commands::inspect::run(arguments, &session),
         Verb::Sample(arguments) => commands::sample::run(arguments, &session),
         Verb::Render(arguments) => commands::render::run(*arguments, &session),
         Verb::Export(arguments) => commands::export::run(arguments),

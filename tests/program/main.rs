@@ -20,6 +20,7 @@ mod probes;
 mod reader;
 mod records;
 mod render;
+mod report;
 mod settings;
 mod sky;
 mod study;

@@ -1,5 +1,6 @@
 //! `gdibl bake`: level and probes in, volume out.
 
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
 use gdibl_baker::Finding;
@@ -18,7 +19,8 @@ use crate::fault::Fault;
 use crate::flags::{OfBakes, SettingFlags};
 use crate::inputs::{memory_of, read_inputs};
 use crate::progress::Progress;
-use crate::session::{Outcome, Session};
+use crate::report::page::{self, Surroundings};
+use crate::session::{Outcome, Session, say};
 use crate::stages::Stages;
 use crate::volumes::{Entry, VolumeList, list_path};
 
@@ -37,6 +39,9 @@ pub struct Arguments {
     /// Print what would be done and left out, and stop
     #[arg(long)]
     plan: bool,
+    /// Write a page to look at, too: the level in the volume's light, where it is wrong, what the bake did
+    #[arg(long, value_name = "REPORT.html")]
+    report: Option<PathBuf>,
     /// No progress bar
     #[arg(long)]
     quiet: bool,
@@ -108,6 +113,12 @@ pub fn run(mut arguments: Arguments, session: &Session) -> Result<Outcome, Fault
     };
     let mut wanted = wanted_of(&inputs.scene, &config.settings, is_given, &inputs.level)?;
     if wanted.len() > 1 {
+        if let Some(page) = &arguments.report {
+            let page = page.display();
+            return Err(Fault::Usage(format!(
+                "--report {page}: of several volumes: gdibl inspect A.gdibl B.gdibl -o {page}"
+            )));
+        }
         return run_several(&arguments, &config, inputs, wanted, &stages, session);
     }
     if let Some(name) = arguments.volumes.first() {
@@ -126,6 +137,7 @@ pub fn run(mut arguments: Arguments, session: &Session) -> Result<Outcome, Fault
     session.find(&job.inputs.findings);
     job.inputs.check_light(job.method())?;
     super::check_output(&config.output)?;
+    arguments.report.iter().try_for_each(|page| super::check_output(page))?;
     if job.wants_capture() && !arguments.no_capture {
         stages.next("capture");
         let read = job.inputs.findings.len();
@@ -135,12 +147,18 @@ pub fn run(mut arguments: Arguments, session: &Session) -> Result<Outcome, Fault
 
     let found = job.inputs.findings.len();
     let is_traced = job.method() == Method::Path;
+    let surroundings = arguments.report.as_ref().map(|_| Surroundings::of(&job.inputs));
     let made = bake(&mut job, &stages, session, arguments.quiet);
     // What it was made from goes before the file is put together.
     drop(job);
     let mut made = made?;
     let missed = tell_made(&mut made, found, &config, &stages, session);
-    Ok(write(made, &config, &stages, session, is_traced)?.missing(missed))
+    let outcome = write(made, &config, &stages, session, is_traced)?;
+    if let (Some(page), Some(surroundings)) = (&arguments.report, surroundings) {
+        page::write_of_file(page, &config.output, &surroundings)?;
+        say(&format!("open {} in a browser to look at it", page.display()));
+    }
+    Ok(outcome.missing(missed))
 }
 
 /// Tells what was found, from the finding `found` on, and returns which bound was missed, if one was.

@@ -13,6 +13,8 @@ use gdibl_runtime::{Volume, VolumeSet};
 use serde::Serialize;
 
 use crate::fault::Fault;
+use crate::report::page::{self, Shown};
+use crate::report::{Inspected, WORST};
 use crate::session::{Outcome, Session};
 use crate::volumes::{VolumeList, is_list, set_of};
 
@@ -31,6 +33,12 @@ pub struct Arguments {
     /// End with exit code 5 when the relative RMSE of irradiance is over this (0.01 is 1 %)
     #[arg(long, value_name = "F")]
     tolerance: Option<f64>,
+    /// Write a page to look at both: cameras move together, surfaces and slices show where they differ
+    #[arg(short, long, value_name = "DIFF.html")]
+    output: Option<PathBuf>,
+    /// The level that the page shows: LEVEL.glb, LEVEL.gltf or BAKE.toml
+    #[arg(long, value_name = "LEVEL", requires = "output")]
+    level: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
@@ -79,7 +87,7 @@ impl Input {
 }
 
 pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
-    let Arguments { found: found_path, truth: truth_path, sets, tolerance } = &arguments;
+    let Arguments { found: found_path, truth: truth_path, sets, tolerance, output, level: drawn } = &arguments;
     if let Some(tolerance) = tolerance.filter(|tolerance| !(*tolerance >= 0.0 && tolerance.is_finite())) {
         return Err(Fault::Usage(format!("--tolerance {tolerance}: must be a share, at least 0 (0.01 is 1 %)")));
     }
@@ -106,12 +114,38 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let [found, truth] = [found_path, truth_path].map(|path| path.display().to_string());
     let report =
         Report { found, truth, found_deringed, truth_deringed, comparison, tolerance: *tolerance, within_tolerance };
+    if let Some(output) = output {
+        write_page(output, [found_path, truth_path], drawn.as_deref(), &report, session)?;
+    }
     let missed = tolerance.filter(|_| within_tolerance == Some(false)).map(|tolerance| {
         let (path, found) = (found_path.display(), percent(relative_rmse));
         format!("{path}: relative RMSE of irradiance is {found}, over --tolerance {tolerance}")
     });
     let text = text(&report);
     Ok(Outcome::new(report, text).missing(missed))
+}
+
+/// The page of two volumes. Everything is read before anything is written.
+fn write_page(
+    output: &Path,
+    paths: [&PathBuf; 2],
+    level: Option<&Path>,
+    report: &Report,
+    session: &Session,
+) -> Result<(), Fault> {
+    super::check_output(output)?;
+    let mut shown = Vec::new();
+    for path in paths {
+        let bytes = super::read_volume_bytes(path)?;
+        if is_json(&bytes) {
+            let path = path.display();
+            return Err(Fault::Usage(format!("{path}: is a reference, and a page shows two volumes: leave out -o")));
+        }
+        shown.push(Shown { inspected: Inspected::of(path, &bytes, WORST)?, bytes });
+    }
+    let surroundings =
+        level.map(|level| super::inspect::surroundings_of(level, session)).transpose()?.unwrap_or_default();
+    page::write(output, &shown, &surroundings, Some(report))
 }
 
 /// The file's first bytes tell what it is.

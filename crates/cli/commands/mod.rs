@@ -22,7 +22,7 @@ use crate::fault::Fault;
 use crate::volumes::{VolumeList, is_list};
 
 /// An output that cannot be written is found out before hours of work.
-fn check_output(output: &Path) -> Result<(), Fault> {
+pub fn check_output(output: &Path) -> Result<(), Fault> {
     if output.is_dir() {
         return Err(Fault::Usage(format!("{}: is a folder; name a file", output.display())));
     }
@@ -32,12 +32,12 @@ fn check_output(output: &Path) -> Result<(), Fault> {
 }
 
 /// The bytes of a volume, or of a list of volumes.
-fn read_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
     std::fs::read(path).map_err(|error| Fault::reading(path, &error))
 }
 
 /// The bytes of a volume, for a verb that takes one. A list is refused with the files that it names.
-fn read_volume_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
+pub fn read_volume_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
     let bytes = read_bytes(path)?;
     if is_list(&bytes) {
         let list = VolumeList::parse(path, &bytes)?;
@@ -49,19 +49,19 @@ fn read_volume_bytes(path: &Path) -> Result<Vec<u8>, Fault> {
 }
 
 /// What the runtime said of a file, as an exit code.
-fn volume_fault(path: &Path, error: &gdibl_runtime::Error) -> Fault {
+pub fn volume_fault(path: &Path, error: &gdibl_runtime::Error) -> Fault {
     Fault::of_volume(path, error)
 }
 
 /// A small record of a volume; `None` where it holds none.
-fn record<T: Record>(directory: &Directory, path: &Path, id: [u8; 4]) -> Result<Option<T>, Fault> {
+pub fn record<T: Record>(directory: &Directory, path: &Path, id: [u8; 4]) -> Result<Option<T>, Fault> {
     let bytes = directory.section_bytes(id, &Limits::default()).map_err(|error| volume_fault(path, &error))?;
     let name = String::from_utf8_lossy(&id);
     bytes.map(|bytes| decode(&bytes, path, &name)).transpose().map_err(Fault::from)
 }
 
 /// Where the nodes stand that have no light of their own, or have it from a place beside; and walls between nodes.
-fn standing_text(standing: &StandingRecord, walls: Option<&WallsRecord>) -> String {
+pub fn standing_text(standing: &StandingRecord, walls: Option<&WallsRecord>) -> String {
     let StandingRecord { uncovered, solid, outside, moved } = standing;
     let walls = match walls {
         Some(WallsRecord { cells, planes }) => format!("{cells} cells with walls, cut by {planes} planes"),
@@ -71,7 +71,7 @@ fn standing_text(standing: &StandingRecord, walls: Option<&WallsRecord>) -> Stri
 }
 
 /// The cells of a sparse grid, and how right light is between nodes, in words.
-fn sparse_lines(sparse: &SparseRecord) -> Vec<String> {
+pub fn sparse_lines(sparse: &SparseRecord) -> Vec<String> {
     let rows = sparse.levels.iter().enumerate().filter(|(_, level)| level.cells > 0 || level.checked > 0);
     let text = |(level, row): (usize, &SparseLevel)| {
         let error = row.error.map_or("not checked".into(), |error| {
@@ -84,7 +84,7 @@ fn sparse_lines(sparse: &SparseRecord) -> Vec<String> {
 }
 
 /// The error that people see, in words: its name and a line each.
-fn seen_lines(seen: &SeenRecord) -> Vec<(&'static str, String)> {
+pub fn seen_lines(seen: &SeenRecord) -> Vec<(&'static str, String)> {
     let sets = [("seen", "in the air", &seen.air), ("", "on surfaces", &seen.surfaces)];
     let known = sets.into_iter().filter_map(|(name, place, set)| set.as_ref().map(|set| (name, place, set)));
     known
@@ -125,7 +125,7 @@ fn seen_set_lines(place: &str, set: &SeenSet) -> [String; 2] {
 }
 
 /// The sun that an engine adds, in words.
-fn sun_text(sun: &SunRecord) -> String {
+pub fn sun_text(sun: &SunRecord) -> String {
     let SunRecord { direction: [x, y, z], irradiance: [r, g, b], angular_diameter_degrees: diameter } = sun;
     format!(
         "left out: toward {x:.4} {y:.4} {z:.4}, irradiance {r:.4} {g:.4} {b:.4} on a surface facing it, {diameter:.2}° wide"
@@ -133,7 +133,7 @@ fn sun_text(sun: &SunRecord) -> String {
 }
 
 /// What packing did, in words.
-fn packing_text(packing: &PackingRecord) -> String {
+pub fn packing_text(packing: &PackingRecord) -> String {
     let PackingRecord { step, added_error } = packing;
     let [median, p95, max] = [added_error.median, added_error.p95, added_error.max].map(|e| e * 100.0);
     format!(
@@ -142,13 +142,13 @@ fn packing_text(packing: &PackingRecord) -> String {
 }
 
 /// What de-ringing did, in words.
-fn deringing_text(deringing: &DeringingRecord) -> String {
+pub fn deringing_text(deringing: &DeringingRecord) -> String {
     let [median, max] = [deringing.relative_change.median, deringing.relative_change.max].map(|e| e * 100.0);
     format!("{} nodes; their irradiance changed by {median:.2} % median, {max:.2} % worst node", deringing.nodes)
 }
 
 /// What each stage took, in words.
-fn stages_text(stages: &[StageRecord]) -> String {
+pub fn stages_text(stages: &[StageRecord]) -> String {
     let text = |stage: &StageRecord| match stage.seconds {
         Some(seconds) => format!("{} {:.2} s", stage.stage, seconds.wall),
         None => format!("{} {:.1} M rays", stage.stage, stage.rays as f64 / 1e6),
@@ -165,7 +165,7 @@ fn noise_text(statistics: &StatisticsRecord) -> String {
 }
 
 /// What more directions do not take away, in words; nothing where nothing tells.
-fn systematic_text(statistics: &StatisticsRecord) -> Option<String> {
+pub fn systematic_text(statistics: &StatisticsRecord) -> Option<String> {
     let error = statistics.systematic_error.filter(|error| error.max > 0.0)?;
     Some(format!("{} (beside noise: what probes show wrongly, and what nobody sees)", summary_text(&error)))
 }

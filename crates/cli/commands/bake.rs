@@ -1,22 +1,28 @@
 //! `gdibl bake`: level and probes in, volume out.
 
-use std::sync::atomic::Ordering;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use gdibl_baker::Finding;
 use gdibl_baker::bake::Nodes;
 use gdibl_baker::exposure::ExposureMatch;
 use gdibl_baker::job::bands::Truncation;
-use gdibl_baker::job::records::{PlanRow, SeenParts, SeenSet, StatisticsRecord};
+use gdibl_baker::job::records::{ErrorSummary, PlanRow, SeenParts, SeenSet, SettingsRecord, StatisticsRecord};
 use gdibl_baker::job::{Job, Made, Method, Stage, Watch};
 use gdibl_baker::pack::{Packed, Precision, write_whole};
+use gdibl_runtime::format::{self, Limits, SectionEntry};
 use serde::Serialize;
+
+use crate::cache::Cache;
 
 use crate::captures::capture_missing;
 use crate::config::{Config, FileFlags, set_threads};
 use crate::fault::Fault;
-use crate::flags::{OfBakes, SettingFlags};
+use crate::flags::{Given, OfBakes, SettingFlags};
 use crate::inputs::{memory_of, read_inputs};
-use crate::progress::Progress;
+use crate::journal::{Head, Journal, Shard, ShardBlocks, remove_stale, scan};
+use crate::progress::{Progress, Shown};
+use crate::request::{PRECISION, Request, hex};
 use crate::session::{Outcome, Session};
 use crate::stages::Stages;
 
@@ -32,9 +38,32 @@ pub struct Arguments {
     /// Print what would be done and left out, and stop
     #[arg(long)]
     plan: bool,
-    /// No progress bar
+    /// Bake also where the output is that of the same inputs, settings and program
+    #[arg(long)]
+    force: bool,
+    /// Write the files that the volume depends on as a rule for Make and Ninja
+    #[arg(long, value_name = "FILE")]
+    depfile: Option<PathBuf>,
+    /// Bake one of N shards, for `gdibl assemble` [default output: the input's name with the shard's numbers]
+    #[arg(long, value_name = "I/N", conflicts_with = "plan")]
+    shard: Option<Shard>,
+    /// Do what all shards have in common, keep it in the cache, and stop
+    #[arg(long, conflicts_with_all = ["plan", "shard", "output"])]
+    prepare: bool,
+    /// No progress
     #[arg(long)]
     quiet: bool,
+}
+
+impl Arguments {
+    /// Those of the assembly of shards that were baked by these.
+    pub fn of_assembly(self, output: PathBuf, depfile: Option<PathBuf>, threads: Option<u32>, quiet: bool) -> Self {
+        let Arguments { mut files, mut settings, no_capture, .. } = self;
+        files.output = Some(output);
+        settings.given.retain(|given| given.name != "threads");
+        settings.given.extend(threads.map(|threads| Given::new("quality", "threads", threads)));
+        Arguments { files, settings, no_capture, plan: false, force: true, depfile, shard: None, prepare: false, quiet }
+    }
 }
 
 /// What `--json` prints.
@@ -46,6 +75,8 @@ struct Report {
     sh: String,
     bytes: u64,
     seed: u64,
+    /// Nothing was done: the output is that of the same inputs, settings and program.
+    unchanged: bool,
     plan: Vec<PlanRow>,
     /// What fewer bands than were baked would lose, or have lost.
     truncation: Vec<Truncation>,
@@ -62,42 +93,324 @@ struct PlanReport {
     likely_seconds: Option<f64>,
 }
 
-pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
-    let stages = Stages::begin("read");
-    let config = Config::new(arguments.files, &arguments.settings.given)?;
-    set_threads(&config.settings)?;
+/// What `--json` prints of a shard, or of what shards have in common.
+#[derive(Serialize)]
+struct ShardReport {
+    output: Option<String>,
+    shard: Option<String>,
+    wall_seconds: f64,
+    cpu_seconds: f64,
+    bytes: u64,
+    unchanged: bool,
+}
 
-    // Everything is read and refused before the first ray.
-    let inputs = read_inputs(&config, config.textures())?;
-    let mut job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
+pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
+    let command = std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).collect();
+    work(arguments, command, None, session)
+}
+
+/// A bake, one shard of it, or the assembly of `shards`. `command` is the command line of the bake.
+pub fn work(
+    arguments: Arguments,
+    command: Vec<String>,
+    shards: Option<(Request, Vec<ShardBlocks>)>,
+    session: &Session,
+) -> Result<Outcome, Fault> {
+    let stages = Stages::begin("read");
+    let Arguments { no_capture, shard, prepare, force, .. } = arguments;
+    let has_output = arguments.files.output.is_some();
+    let mut config = Config::new(arguments.files, &arguments.settings.given)?;
+    if let Some(Shard { index, count }) = shard.filter(|_| !has_output) {
+        config.output.set_extension(format!("{index}-of-{count}.shard"));
+    }
+    set_threads(&config.settings)?;
+    let shown = session.shown(arguments.quiet);
     if arguments.plan {
+        let inputs = read_inputs(&config, config.textures())?;
+        let job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
         let (plan, likely_seconds) = (job.plan(), likely_seconds(&job, &stages, session)?);
         let text = plan_text(&plan, likely_seconds);
         return Ok(Outcome::new(PlanReport { plan, likely_seconds }, text));
     }
-    session.find(&job.inputs.findings);
-    job.inputs.check_light(job.method())?;
-    super::check_output(&config.output)?;
-    if job.wants_capture() && !arguments.no_capture {
-        stages.next("capture");
-        let read = job.inputs.findings.len();
-        capture_missing(&config, &mut job.inputs, &session.cancel, arguments.quiet)?;
-        session.find(&job.inputs.findings[read..]);
+
+    // What is there already is not made again.
+    let request = Request::of(&config, no_capture)?;
+    let is_repeatable = Request::is_repeatable(&config);
+    // What was found under a budget of time is not found again.
+    let is_timed = config.settings.grid.budget.is_some();
+    if (shard.is_some() || prepare) && (is_timed || !is_repeatable) {
+        let why = "shards are bakes of the same nodes, which neither --budget nor points of standard input give twice";
+        return Err(Fault::Usage(format!("--shard, --prepare: {why}")));
+    }
+    if let Some((of, shards)) = &shards
+        && *of != request
+    {
+        return Err(Fault::Invalid(format!(
+            "{}: was baked from other inputs, by another program or with other settings: {} differs; bake the shards again",
+            shards[0].path.display(),
+            of.difference(&request)
+        )));
+    }
+    let is_there = || match shard {
+        _ if force || prepare || !is_repeatable => None,
+        Some(shard) => unchanged_shard(&config, &request, shard, &stages),
+        None => unchanged(&config, &request, &stages, session),
+    };
+    let depfile = |outcome: Outcome, shards: &[PathBuf]| {
+        write_depfile(arguments.depfile.as_deref(), &config, shards).map(|()| outcome)
+    };
+    if let Some(outcome) = is_there() {
+        remove_stale(&config.output);
+        return depfile(outcome, &[]);
     }
 
-    let found = job.inputs.findings.len();
-    let is_traced = job.method() == Method::Path;
-    let mut made = bake(job, &stages, session, arguments.quiet)?;
-    let statistics = made.records.statistics.as_mut().expect("a job fills it in");
-    session.find(&statistics.findings[found..]);
-    if config.settings.quality.record_times {
-        stages.fill(&mut statistics.stages);
+    // Everything is read and refused before the first ray.
+    let mut inputs = read_inputs(&config, config.textures())?;
+    inputs.request = if is_repeatable { request.key() } else { [0; 32] };
+    let job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
+    session.find(&job.inputs.findings);
+    job.inputs.check_light(job.method())?;
+    let folder = std::env::current_dir().unwrap_or_default();
+    let shared = format!("{}-shared", hex(&request.key()));
+    let head = Head { request: request.clone(), shard, arguments: command, folder };
+    let mut journal = if prepare {
+        Journal::temporary()?
+    } else {
+        super::check_output(&config.output)?;
+        Journal::open(&config.output, &head, is_repeatable && !is_timed, &session.cancel)?
+    };
+    // Another bake may have made it while this one waited.
+    if let Some(outcome) = is_there() {
+        journal.remove()?;
+        return depfile(outcome, &[]);
     }
-    let missed = missed_text(&made, &config);
-    missed.iter().for_each(|text| session.note(&[Finding::new("missed-target", made.baked.missed, text)]));
-    let wrong = seen_text(statistics_of(&made), &config);
-    wrong.iter().for_each(|text| session.note(&[Finding::new("missed-seen-error", 1, text)]));
-    Ok(write(made, &config, &stages, session, is_traced)?.missing(missed.or(wrong)))
+    let shards = shards.map_or_else(Vec::new, |(_, shards)| shards);
+    let read: Vec<PathBuf> = shards.iter().map(|shard| shard.path.clone()).collect();
+    journal.add_shards(shards);
+    let run = Run { config: &config, stages: &stages, session, shown, no_capture };
+    let outcome = match shard.is_some() || prepare {
+        true => run.shard(job, &mut journal, shard, &shared),
+        false => run.volume(job, &journal),
+    };
+    match outcome {
+        Ok(outcome) => {
+            journal.remove()?;
+            depfile(outcome, &read)
+        }
+        // What was stopped goes on later, if there is anything to go on from.
+        Err(fault @ (Fault::Interrupted | Fault::System(_))) if journal.has_blocks() => Err(fault),
+        Err(fault) => {
+            journal.remove()?;
+            Err(fault)
+        }
+    }
+}
+/// A bake that has something to do.
+struct Run<'a> {
+    config: &'a Config,
+    stages: &'a Stages,
+    session: &'a Session,
+    shown: Shown,
+    no_capture: bool,
+}
+
+impl Run<'_> {
+    /// Captures probes, if some are needed.
+    fn capture(&self, job: &mut Job) -> Result<(), Fault> {
+        if job.wants_capture() && !self.no_capture {
+            self.stages.next("capture");
+            let read = job.inputs.findings.len();
+            capture_missing(self.config, &mut job.inputs, &self.session.cancel, self.shown)?;
+            self.session.find(&job.inputs.findings[read..]);
+        }
+        self.config.files.forget();
+        Ok(())
+    }
+
+    /// The whole, and its file.
+    fn volume(&self, mut job: Job, journal: &Journal) -> Result<Outcome, Fault> {
+        let Run { config, stages, session, .. } = *self;
+        self.capture(&mut job)?;
+        let found = job.inputs.findings.len();
+        let is_traced = job.method() == Method::Path;
+        let mut made = bake(job, stages, session, self.shown, journal)?;
+        let statistics = made.records.statistics.as_mut().expect("a job fills it in");
+        session.find(&statistics.findings[found..]);
+        if config.settings.quality.record_times {
+            stages.fill(&mut statistics.stages);
+        }
+        let missed = missed_text(&made, config);
+        missed.iter().for_each(|text| session.note(&[Finding::new("missed-target", made.baked.missed, text)]));
+        let wrong = seen_text(statistics_of(&made), config);
+        wrong.iter().for_each(|text| session.note(&[Finding::new("missed-seen-error", 1, text)]));
+        Ok(write(made, config, stages, session, is_traced)?.missing(missed.or(wrong)))
+    }
+
+    /// One shard, or, without one, what all have in common, which is called `shared` in the cache.
+    fn shard(&self, mut job: Job, journal: &mut Journal, shard: Option<Shard>, shared: &str) -> Result<Outcome, Fault> {
+        self.capture(&mut job)?;
+        share(journal, &self.config.cache, shared, &self.session.cancel)?;
+        journal.only_shared(shard.is_none());
+        let baked = bake(job, self.stages, self.session, self.shown, journal);
+        // Where coarse grids are good enough nothing is divided: every shard has all.
+        if !journal.is_done() {
+            baked?;
+        }
+        journal.share_now();
+        write_shard(journal, shard, self.config, self.stages)
+    }
+}
+
+/// The blocks that all shards need come from the cache, or go there. Of several shards at once one finds them.
+fn share(journal: &mut Journal, cache: &Cache, name: &str, cancel: &AtomicBool) -> Result<(), Fault> {
+    let take = |journal: &Journal| cache.get(name).map(|bytes| journal.take_shared(&bytes)).is_some();
+    if take(journal) {
+        return Ok(());
+    }
+    let making = cache.make(name, cancel)?;
+    if take(journal) {
+        return Ok(());
+    }
+    let (cache, name) = (cache.clone(), name.to_string());
+    let put = move |shared: Vec<u8>| {
+        cache.put(&name, &shared);
+        drop(making);
+    };
+    journal.share(put);
+    Ok(())
+}
+
+/// Ends a shard and puts it in its place. Without one the cache has all that was to be done.
+fn write_shard(
+    journal: &mut Journal,
+    shard: Option<Shard>,
+    config: &Config,
+    stages: &Stages,
+) -> Result<Outcome, Fault> {
+    let output = &config.output;
+    let (bytes, text) = match shard {
+        Some(shard) => {
+            let bytes = journal.finish(output)?;
+            (bytes, format!("{}: shard {shard}, {bytes} bytes", output.display()))
+        }
+        None => (0, format!("{}: has all that the shards have in common", config.cache.folder().display())),
+    };
+    let (wall_seconds, cpu_seconds) = stages.total();
+    let output = shard.map(|_| output.display().to_string());
+    let shard = shard.map(|shard| shard.to_string());
+    Ok(Outcome::new(ShardReport { output, shard, wall_seconds, cpu_seconds, bytes, unchanged: false }, text))
+}
+
+/// The shard is there already, whole.
+fn unchanged_shard(config: &Config, request: &Request, shard: Shard, stages: &Stages) -> Option<Outcome> {
+    let mut file = std::fs::File::open(&config.output).ok()?;
+    let found = scan(&mut file).ok().filter(|found| found.is_whole)?;
+    if found.head.request != *request || found.head.shard != Some(shard) {
+        return None;
+    }
+    let output = config.output.display().to_string();
+    let text = format!("{output}: unchanged: it is shard {shard} of this bake; --force bakes it again");
+    let (wall_seconds, cpu_seconds) = stages.total();
+    let bytes = file.metadata().ok()?.len();
+    let report = ShardReport {
+        output: Some(output),
+        shard: Some(shard.to_string()),
+        wall_seconds,
+        cpu_seconds,
+        bytes,
+        unchanged: true,
+    };
+    Some(Outcome::new(report, text))
+}
+
+/// The output is there already: whole, and made from an equal request.
+fn unchanged(config: &Config, request: &Request, stages: &Stages, session: &Session) -> Option<Outcome> {
+    let path = &config.output;
+    let bytes = std::fs::read(path).ok()?;
+    let directory = format::parse_header_and_sections(&bytes).ok()?;
+    let settings: SettingsRecord = super::record(&directory, path, format::SETTINGS).ok()??;
+    if settings.request != request.key() {
+        return None;
+    }
+    // Every section is as it was written.
+    let is_whole = |entry: &SectionEntry| directory.section_bytes(entry.id, &Limits::default()).is_ok();
+    if !directory.sections.iter().all(is_whole) {
+        return None;
+    }
+    let mut statistics: StatisticsRecord = super::record(&directory, path, format::STATISTICS).ok()??;
+    let plan = super::record(&directory, path, format::PLAN).ok()??;
+    // The file says the precision in force: that which was asked for, or which follows from its noise.
+    let precision = match config.settings.quality.precision {
+        Precision::Packed { error: None } => {
+            let error = Precision::packed_error(statistics.relative_error.map(|error| error.median));
+            Precision::Packed { error: Some(error) }
+        }
+        asked => asked,
+    };
+    let recorded = settings.settings.iter().find(|setting| setting.name == PRECISION)?;
+    if recorded.value != Some(precision.to_string()) {
+        return None;
+    }
+    // A bound that was missed is missed. Where the record does not tell, it is baked again.
+    let missed = match config.settings.quality.target_error {
+        None => None,
+        Some(target) => {
+            let most = |error: Option<ErrorSummary>| error.map(|error| error.max);
+            let noise = most(statistics.relative_error)?;
+            let systematic = most(statistics.systematic_error).unwrap_or(0.0);
+            let text =
+                format!("some nodes miss the target error of {} %; the volume is unchanged", (target * 100.0) as f32);
+            match () {
+                () if noise.hypot(systematic) <= target => None,
+                () if noise.max(systematic) > target => Some(text),
+                () => return None,
+            }
+        }
+    };
+    let wrong = seen_text(&statistics, config);
+    session.note(&std::mem::take(&mut statistics.findings));
+    if settings.method == "path" {
+        // Null in JSON.
+        statistics.coverage = f64::NAN;
+    }
+    let (wall_seconds, cpu_seconds) = stages.total();
+    let output = path.display().to_string();
+    let text = format!(
+        "{output}: unchanged: inputs, settings and program are those that it was baked by; --force bakes it again"
+    );
+    let report = Report {
+        output,
+        wall_seconds,
+        cpu_seconds,
+        sh: format!("L{}", directory.header.bands),
+        bytes: bytes.len() as u64,
+        seed: config.settings.quality.seed,
+        unchanged: true,
+        plan,
+        truncation: Vec::new(),
+        exposure: None,
+        statistics,
+    };
+    Some(Outcome::new(report, text).missing(missed.or(wrong)))
+}
+
+/// `output: input input …`, as Make and Ninja read it.
+fn write_depfile(path: Option<&Path>, config: &Config, shards: &[PathBuf]) -> Result<(), Fault> {
+    let Some(path) = path else { return Ok(()) };
+    let name = |path: &Path| {
+        let mut text = String::new();
+        for character in path.to_string_lossy().chars() {
+            match character {
+                ' ' | '#' => text.extend(['\\', character]),
+                '$' => text.push_str("$$"),
+                other => text.push(other),
+            }
+        }
+        text
+    };
+    let inputs: Vec<String> = config.files.paths().iter().chain(shards).map(|path| name(path)).collect();
+    let rule = format!("{}: {}\n", name(&config.output), inputs.join(" \\\n  "));
+    write_whole(path, rule.as_bytes()).map_err(Fault::from_writing)
 }
 
 /// Packs the volume, writes it, and tells what was made. `is_traced`: by paths, of which coverage tells nothing.
@@ -132,6 +445,7 @@ fn write(
         sh,
         bytes: bytes.len() as u64,
         seed: config.settings.quality.seed,
+        unchanged: false,
         plan: records.plan,
         truncation,
         exposure,
@@ -152,13 +466,18 @@ fn likely_seconds(job: &Job, stages: &Stages, session: &Session) -> Result<Optio
 }
 
 /// Runs the job with a progress bar.
-fn bake(job: Job, stages: &Stages, session: &Session, quiet: bool) -> Result<Made, Fault> {
-    let progress = Progress::new("nodes", job.nodes().len() as u64, quiet);
+fn bake(job: Job, stages: &Stages, session: &Session, shown: Shown, journal: &Journal) -> Result<Made, Fault> {
+    let progress = Progress::new("nodes", job.nodes().len() as u64, shown);
     let advance = |nodes, rays| progress.advance(nodes, rays);
     let stage = |stage: Stage| stages.next(stage.name());
     let seconds = || stages.total().0;
-    let watch = Watch { cancel: &session.cancel, progress: &advance, stage: &stage, seconds: &seconds };
-    let made = job.run(&watch)?;
+    let made = job.run(&Watch {
+        cancel: &session.cancel,
+        progress: &advance,
+        stage: &stage,
+        seconds: &seconds,
+        blocks: Some(journal),
+    })?;
     stages.next(Stage::Pack.name());
     progress.finish();
     Ok(made)

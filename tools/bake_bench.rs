@@ -35,7 +35,7 @@ fn main() {
     let distant = arguments.get(3).map(|path| read_distant(Path::new(path)));
     let (min, max) = scene.bounds(|_| true).expect("a level with triangles");
     let path = PathTracer::new(&scene, distant.as_ref(), PathSettings::default());
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let most = PlaceSettings { most: PROBES, gain: 0.0 };
     let places = place_probes(&path, (min, max), &[], &most, &control).expect("nobody interrupts").positions();
     let settings = CaptureSettings { width: WIDTH, samples: 128, emission: false, ..CaptureSettings::default() };

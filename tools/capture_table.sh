@@ -8,7 +8,7 @@ out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
 directions=4096
 # seconds of a bake, and the rest of what it says, as JSON
-bake() { "$gdibl" bake "$@" --quiet --json 2> /dev/null; }
+bake() { "$gdibl" bake "$@" --force --cache "$out/cache" --quiet --json 2> /dev/null; }
 row() {
   local name=$1 level=$levels/$2
   shift 2
@@ -31,7 +31,7 @@ capture = cold["wall_seconds"] - warm["wall_seconds"]
 print(f'| {name} | {probes} in {capture:.0f} s | {warm["wall_seconds"]:.1f} s | {100 * cold["coverage"]:.0f} % '
       f'| {rmse} | {noise} | {median} | {path["wall_seconds"]:.1f} s | {path_rmse} | {path_median} |')
 PYTHON
-  rm -rf "$out"/a.captured
+  rm -rf "$out"/cache
 }
 echo "| level | probes captured | bake | coverage | error | of which noise | median node | path tracing | error | median node |"
 echo "|---|---|---|---|---|---|---|---|---|---|"

@@ -23,7 +23,7 @@ fn main() {
         let path = Path::new(level);
         let options = GltfOptions { textures: TextureNeeds::All, ..GltfOptions::default() };
         let scene = read_level(path, &options).unwrap_or_else(|e| panic!("{e}"));
-        let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+        let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
         // Bounces enough that what is cut off does not count, even between white walls.
         let settings = PathSettings::default();
         let balance =

@@ -89,7 +89,7 @@ fn percent(share: f64) -> String {
 }
 
 fn quiet<T>(work: impl FnOnce(&Control) -> T) -> T {
-    work(&Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} })
+    work(&Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None })
 }
 
 /// Error of E at all nodes.

@@ -74,6 +74,6 @@ pub fn read_distant(path: &Path) -> Distant {
 
 /// Bakes to the end.
 pub fn bake_all(function: &impl RadianceFunction, nodes: &Nodes, settings: &BakeSettings) -> Baked {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     bake(nodes, function, settings, &control).expect("nobody interrupts a tool")
 }

@@ -120,7 +120,7 @@ impl Case {
 
     fn capture(&self, folder: &Path) {
         let cancel = AtomicBool::new(false);
-        let control = Control { cancel: &cancel, progress: &|_, _| {} };
+        let control = Control { cancel: &cancel, progress: &|_, _| {}, blocks: None };
         let paths = self.paths();
         let bounds = self.scene.bounds(|_| true).expect("a level with triangles");
         let positions = match self.name {

@@ -134,7 +134,7 @@ fn on_surfaces(scene: &Scene, distant: &Distant, truth: &Truth, samples: u64) ->
     };
     let places: Vec<_> = truth.positions.iter().zip(&truth.normals).map(place).collect();
     let path = Paths::new(scene, Some(distant), PathSettings::default());
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let settings = GatherSettings { samples, ..GatherSettings::default() };
     let found = irradiance_at(&places, &path, &settings, &control).expect("nobody interrupts a tool");
     let mut values = Vec::new();

@@ -53,7 +53,7 @@ fn main() {
     let bounds = bounds.or(scene.bounds(|_| true)).expect("a level with triangles");
 
     let started = Instant::now();
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let placement = place_probes(&path, bounds, &[], &settings, &control).expect("nobody interrupts a tool");
     println!(
         "{}: {} probes suggested in {:.1} s, from {} free places, in a box {:.1} to {:.1}",
@@ -138,7 +138,7 @@ fn squares(baked: &Baked, truth: &Baked, node: usize) -> (f64, f64) {
 }
 
 fn capture_at(path: &Paths, places: &[DVec3]) -> Vec<Probe> {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let settings = CaptureSettings { width: WIDTH, samples: PATHS, emission: false, ..CaptureSettings::default() };
     let probe = |(index, &position): (usize, &DVec3)| {
         let captured = capture(path, position, index as u64, &settings, &control).expect("nobody interrupts a tool");

@@ -120,7 +120,7 @@ impl Ways<'_> {
 }
 
 fn gather(places: &[SurfacePlace], function: &impl RadianceFunction, settings: &GatherSettings) -> Vec<Gathered> {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     irradiance_at(places, function, settings, &control).expect("nobody interrupts a tool")
 }
 
@@ -160,7 +160,7 @@ fn take(
     way: &str,
 ) -> Picture {
     let started = Instant::now();
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let picture = render(function, None, camera, settings, &control).expect("nobody interrupts a tool");
     println!(
         "| {view}-{way}.png | {} | {:.1} | {:.1} | {:.2} % |",

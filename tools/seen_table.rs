@@ -234,7 +234,7 @@ impl Set {
 }
 
 fn gather(function: &Paths, places: &[SurfacePlace], samples: u64) -> Vec<Gathered> {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let settings = GatherSettings { samples, seed: 99, ..GatherSettings::default() };
     irradiance_at(places, function, &settings, &control).expect("nobody interrupts a tool")
 }

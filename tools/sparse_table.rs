@@ -93,7 +93,7 @@ fn main() {
     println!("|---|---|---|---|---|---|---|---|");
     for tolerance in tolerances {
         let started = ProcessTime::now();
-        let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+        let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
         let (sparse_nodes, baked, record) =
             bake_sparse(&grid, tolerance, &function, &settings, &control).expect("nobody interrupts a tool");
         let seconds = started.elapsed().as_secs_f64();

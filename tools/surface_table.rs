@@ -53,7 +53,7 @@ fn main() {
     let function = Path::new(&scene, distant.as_ref(), PathSettings::default());
     let (min, max) = scene.bounds(|_| true).expect("a level with triangles");
     let places = surface_places(&scene, &function, wanted, (max - min).max_element() * OFF_THE_SURFACE);
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let settings = GatherSettings { samples: 1024, ..GatherSettings::default() };
     let truth = irradiance_at(&places, &function, &settings, &control).expect("nobody interrupts a tool");
     let mut found: Vec<(SurfacePlace, DVec3)> =

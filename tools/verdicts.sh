@@ -13,7 +13,7 @@ find "$folder" -type f \( -name '*.glb' -o -name '*.gltf' -o -name '*.hdr' -o -n
     *) arguments=("$out/empty.gltf" --distant "$file" --bounds 0,0,0,1,1,1 --counts 1,1,1)
        echo '{"asset":{"version":"2.0"}}' > "$out/empty.gltf" ;;
   esac
-  text=$(timeout 120 "$gdibl" bake "${arguments[@]}" --samples 256 --json --quiet -o "$out/x.gdibl" 2> "$out/stderr")
+  text=$(timeout 120 "$gdibl" bake "${arguments[@]}" --force --samples 256 --json --quiet -o "$out/x.gdibl" 2> "$out/stderr")
   code=$?
   if [ $code = 0 ]; then
     verdict=$(echo "$text" | python3 -c 'import json,sys; r=json.load(sys.stdin); p={x["stage"]:x for x in r["plan"]}; e=p["bounces"]; print((e["why"].split(" ")[0] if e["kept"] else "0")+" triangles reflect; "+", ".join(f["id"]+" "+str(f["count"]) for f in r["findings"]))')

@@ -20,8 +20,8 @@ use gdibl_baker::{Control, Finding};
 use crate::config::{Config, ProbeEntry, sky_source};
 use crate::fault::Fault;
 use crate::hashes::inputs_of;
-use crate::inputs::{images_of, read_level_and_sky, read_probes};
-use crate::progress::Progress;
+use crate::inputs::{PROGRAM, read_level_and_sky, read_probes};
+use crate::progress::{Progress, Shown};
 use crate::session::say;
 
 /// A probe that is to be captured.
@@ -50,10 +50,10 @@ pub fn places(
     asked: &CapturePlan,
     folder: &Path,
     cancel: &AtomicBool,
-    quiet: bool,
+    shown: Shown,
 ) -> Result<Vec<Place>, Fault> {
     let positions: Vec<DVec3> = if asked.positions.is_empty() {
-        let placement = automatic_placement(scene, paths, asked, cancel, quiet)?;
+        let placement = automatic_placement(scene, paths, asked, cancel, shown)?;
         if let Some(last) = placement.suggestions.last() {
             let share = last.after.coverage * 100.0;
             let count = placement.suggestions.len();
@@ -74,12 +74,12 @@ pub fn automatic_placement(
     paths: &Paths,
     asked: &CapturePlan,
     cancel: &AtomicBool,
-    quiet: bool,
+    shown: Shown,
 ) -> Result<Placement, Fault> {
     let settings = PlaceSettings { most: asked.most.unwrap_or(PlaceSettings::default().most), ..Default::default() };
     match box_of_probes(scene) {
         None => Ok(Placement::default()),
-        Some(bounds) => place(paths, bounds, &[], &settings, cancel, quiet),
+        Some(bounds) => place(paths, bounds, &[], &settings, cancel, shown),
     }
 }
 
@@ -95,10 +95,10 @@ pub fn place(
     existing: &[DVec3],
     settings: &PlaceSettings,
     cancel: &AtomicBool,
-    quiet: bool,
+    shown: Shown,
 ) -> Result<Placement, Fault> {
-    let progress = Progress::new("places", FREE_PLACES as u64, quiet);
-    let control = Control { cancel, progress: &|places, rays| progress.advance(places, rays) };
+    let progress = Progress::new("places", FREE_PLACES as u64, shown);
+    let control = Control { cancel, progress: &|places, rays| progress.advance(places, rays), blocks: None };
     let placement = place_probes(paths, bounds, existing, settings, &control).map_err(|_| Fault::Interrupted)?;
     progress.finish();
     Ok(placement)
@@ -111,11 +111,11 @@ pub fn capture_all(
     mapping: Mapping,
     settings: &CaptureSettings,
     cancel: &AtomicBool,
-    quiet: bool,
+    shown: Shown,
 ) -> Result<Vec<CapturedProbe>, Fault> {
     let pixels = (settings.width * (settings.width / 2) * places.len()) as u64;
-    let progress = Progress::new("pixels", pixels, quiet);
-    let control = Control { cancel, progress: &|pixels, rays| progress.advance(pixels, rays) };
+    let progress = Progress::new("pixels", pixels, shown);
+    let control = Control { cancel, progress: &|pixels, rays| progress.advance(pixels, rays), blocks: None };
     let mut outcomes = Vec::new();
     for (index, place) in places.iter().enumerate() {
         let started = Instant::now();
@@ -151,8 +151,8 @@ fn write(place: &Place, captured: &Captured, mapping: Mapping) -> Result<Vec<Fin
 
 /// Captures the probes of an input that lacks them, or takes those of an earlier run. Adds them to the inputs; none where
 /// the level has no place for one.
-pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool, quiet: bool) -> Result<(), Fault> {
-    let captured = auto_capture(config, cancel, quiet)?;
+pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool, shown: Shown) -> Result<(), Fault> {
+    let captured = auto_capture(config, cancel, shown)?;
     read_probes(inputs, &captured.entries, config)?;
     let count = captured.entries.len();
     if count == 0 {
@@ -165,7 +165,7 @@ pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool
     if let Some(seconds) = captured.seconds {
         say(&format!(
             "captured {count} probes from the level in {seconds:.1} s; they are kept in {} for the next time",
-            captured.folder.display()
+            config.cache.folder().display()
         ));
     }
     inputs.findings.extend(specular_left_out(&inputs.scene));
@@ -178,65 +178,96 @@ pub fn capture_missing(config: &Config, inputs: &mut Inputs, cancel: &AtomicBool
 /// Probes that stand in for those that nobody gave.
 struct AutoCapture {
     entries: Vec<ProbeEntry>,
-    folder: PathBuf,
-    /// What it cost; `None`: they were there already.
+    /// What it cost; `None`: all were in the cache.
     seconds: Option<f64>,
 }
 
-/// Captures probes into a folder beside the volume that a bake writes, or finds them there from an earlier run with the
-/// same level, light and settings. The folder's name is the hash of all these, so what lies in it is never out of date.
-fn auto_capture(config: &Config, cancel: &AtomicBool, quiet: bool) -> Result<AutoCapture, Fault> {
+/// Captures probes, or takes those from the cache that an earlier run with the same level, light and settings captured: each is an entry
+/// of its own, named by the hash of all these, so that a run that was killed goes on from the last one.
+fn auto_capture(config: &Config, cancel: &AtomicBool, shown: Shown) -> Result<AutoCapture, Fault> {
     // Reflected light alone: emission is taken from the level's materials.
     let width = config.settings.capture.width.unwrap_or(AUTO_WIDTH);
     let settings = CaptureSettings { emission: false, width, ..config.settings.capture_probes() };
-    let parent = config.output.with_extension("captured");
-    let folder = parent.join(content_key(config, &settings)?);
-    if folder.is_dir() {
-        return Ok(AutoCapture { entries: entries_of(&folder)?, folder, seconds: None });
+    let key = content_key(config, &settings)?;
+    let cache = &config.cache;
+    if let Some(entries) = entries_of(config, &key) {
+        return Ok(AutoCapture { entries, seconds: None });
+    }
+    // Of several bakes at once one captures.
+    let _making = cache.make(&key, cancel)?;
+    if let Some(entries) = entries_of(config, &key) {
+        return Ok(AutoCapture { entries, seconds: None });
     }
     let started = Instant::now();
     let inputs = read_level_and_sky(config, TextureNeeds::All)?;
     let paths = Paths::new(&inputs.scene, inputs.distant.as_ref(), config.settings.capture_path());
-    let writing = |error: std::io::Error| Fault::writing(&parent, &error);
-    std::fs::create_dir_all(&parent).map_err(writing)?;
-    // Filled beside, then renamed: a folder that is there is whole.
-    let filling = tempfile::Builder::new().prefix(".filling-").tempdir_in(&parent).map_err(writing)?;
-    let places = match places(&inputs.scene, &paths, &config.settings.capture, filling.path(), cancel, quiet) {
-        Ok(places) => places,
-        Err(fault) => {
-            drop(filling);
-            let _ = std::fs::remove_dir(&parent); // if it holds nothing else
-            return Err(fault);
+    let failed = |error: std::io::Error| Fault::System(format!("{}: {error}", std::env::temp_dir().display()));
+    let folder = tempfile::Builder::new().prefix("gdibl-").tempdir().map_err(failed)?;
+    let positions = match cache.get(&key).and_then(|bytes| positions_of(&bytes)) {
+        Some(positions) => positions,
+        None => {
+            let places = places(&inputs.scene, &paths, &config.settings.capture, folder.path(), cancel, shown)?;
+            let positions: Vec<DVec3> = places.into_iter().map(|place| place.position).collect();
+            cache.put(&key, &positions_to_bytes(&positions));
+            positions
         }
     };
-    if places.is_empty() {
-        drop(filling);
-        let _ = std::fs::remove_dir(&parent); // if it holds nothing else
-        return Ok(AutoCapture { entries: Vec::new(), folder, seconds: None });
+    let pixels = (settings.width * (settings.width / 2) * positions.len()) as u64;
+    let progress = Progress::new("pixels", pixels, shown);
+    let control = Control { cancel, progress: &|pixels, rays| progress.advance(pixels, rays), blocks: None };
+    let mut entries = Vec::new();
+    for (index, &position) in positions.iter().enumerate() {
+        let name = name_of(&key, index);
+        let bytes = match cache.get(&name) {
+            Some(bytes) => bytes,
+            None => {
+                let captured = capture(&paths, position, index as u64, &settings, &control);
+                let captured = captured.map_err(|_| Fault::Interrupted)?;
+                let place = Place { position, file: folder.path().join("probe.exr") };
+                write(&place, &captured, Mapping::LatLong)?;
+                let bytes = std::fs::read(&place.file).map_err(failed)?;
+                cache.put(&name, &bytes);
+                bytes
+            }
+        };
+        entries.push(entry_of(config, index, positions.len(), bytes));
     }
-    if let Err(fault) = capture_all(&paths, &places, Mapping::LatLong, &settings, cancel, quiet) {
-        drop(filling);
-        let _ = std::fs::remove_dir(&parent); // if it holds nothing else
-        return Err(fault);
-    }
-    // What earlier levels or settings left.
-    for entry in std::fs::read_dir(&parent).map_err(writing)?.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        if name.len() == KEY_DIGITS && name.bytes().all(|b| b.is_ascii_hexdigit()) {
-            std::fs::remove_dir_all(entry.path()).map_err(writing)?;
-        }
-    }
-    std::fs::rename(filling.keep(), &folder).map_err(writing)?;
-    Ok(AutoCapture { entries: entries_of(&folder)?, folder, seconds: Some(started.elapsed().as_secs_f64()) })
+    progress.finish();
+    Ok(AutoCapture { entries, seconds: Some(started.elapsed().as_secs_f64()) })
 }
 
-fn entries_of(folder: &Path) -> Result<Vec<ProbeEntry>, Fault> {
-    let images = images_of(folder)?;
-    Ok(images.into_iter().map(|image| ProbeEntry { image, ..ProbeEntry::default() }).collect())
+/// All probes of a key; `None` where one is missing or damaged.
+fn entries_of(config: &Config, key: &str) -> Option<Vec<ProbeEntry>> {
+    let count = positions_of(&config.cache.get(key)?)?.len();
+    let entry = |index| Some(entry_of(config, index, count, config.cache.get(&name_of(key, index))?));
+    (0..count).map(entry).collect()
 }
 
-/// Hexadecimal digits of a folder's name.
-const KEY_DIGITS: usize = 16;
+fn name_of(key: &str, index: usize) -> String {
+    format!("{key}-{index}")
+}
+
+/// A probe by the bytes of its file, which lies nowhere.
+fn entry_of(config: &Config, index: usize, count: usize, bytes: Vec<u8>) -> ProbeEntry {
+    let digits = count.saturating_sub(1).to_string().len();
+    let image = PathBuf::from(format!("captured probes/probe_{index:0digits$}.exr"));
+    config.files.insert(&image, bytes);
+    ProbeEntry { image, ..ProbeEntry::default() }
+}
+
+fn positions_to_bytes(positions: &[DVec3]) -> Vec<u8> {
+    positions.iter().flat_map(|position| position.to_array()).flat_map(f64::to_le_bytes).collect()
+}
+
+fn positions_of(bytes: &[u8]) -> Option<Vec<DVec3>> {
+    let (numbers, []) = bytes.as_chunks::<8>() else { return None };
+    let numbers: Vec<f64> = numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+    let (positions, []) = numbers.as_chunks::<3>() else { return None };
+    Some(positions.iter().copied().map(DVec3::from).collect())
+}
+
+/// Hexadecimal digits of a key.
+const KEY_DIGITS: usize = 32;
 
 /// A hash of all that captured probes depend on.
 fn content_key(config: &Config, settings: &CaptureSettings) -> Result<String, Fault> {
@@ -246,7 +277,7 @@ fn content_key(config: &Config, settings: &CaptureSettings) -> Result<String, Fa
         hasher.update(&(bytes.len() as u64).to_le_bytes());
         hasher.update(bytes);
     };
-    part(concat!("gdibl ", env!("CARGO_PKG_VERSION")).as_bytes());
+    part(format!("{} {}", PROGRAM.join(" "), env!("GDIBL_SOURCE")).as_bytes());
     for input in inputs_of(config, &[])? {
         part(input.role.as_bytes());
         part(&input.blake3);

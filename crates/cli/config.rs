@@ -3,14 +3,18 @@
 use clap::Args;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use gdibl_baker::import::files::Files;
 use gdibl_baker::import::gltf::TextureNeeds;
 use gdibl_baker::import::sky::SkySource;
 use gdibl_baker::job::{Method, NodeKind, Settings};
 use gdibl_baker::radiance::unseen::Unseen;
 
+use crate::cache::Cache;
 use crate::fault::Fault;
 use crate::flags::Given;
+use crate::read_once::ReadOnce;
 
 /// One `[[probe]]` of BAKE.toml.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -91,6 +95,10 @@ pub struct Config {
     pub probes: Vec<PathBuf>,
     pub placed_probes: Vec<ProbeEntry>,
     pub settings: Settings,
+    /// What was read of all these.
+    pub files: Arc<ReadOnce>,
+    /// Where captured probes are kept.
+    pub cache: Cache,
 }
 
 /// Flags of `bake` that name files.
@@ -119,6 +127,9 @@ pub struct LightFlags {
     pub distant: Option<PathBuf>,
     #[command(flatten)]
     pub sky: SkyFlags,
+    /// Folder for what bakes have in common: captured probes, and what shards share [default: the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
+    pub cache: Option<PathBuf>,
 }
 
 /// How images are read and the distant panorama is turned.
@@ -177,17 +188,18 @@ impl Config {
     pub fn new(files: FileFlags, given: &[Given]) -> Result<Config, Fault> {
         let input = files.input;
         let mut settings = Settings::default();
+        let files_read = ReadOnce::default();
         let (mut file, folder) = if is_level(&input)? {
             (BakeFile { level: Some(input.clone()), ..BakeFile::default() }, PathBuf::new())
         } else {
             let folder = input.parent().unwrap_or(Path::new("")).to_path_buf();
-            (BakeFile::read(&input, &folder, &mut settings)?, folder)
+            (BakeFile::read(&files_read, &input, &folder, &mut settings)?, folder)
         };
         apply(given, &mut settings)?;
         let Some(level) = file.level.take() else {
             return Err(Fault::Invalid(format!("{}: names no level; add: level = \"LEVEL.glb\"", input.display())));
         };
-        let LightFlags { probes, distant: by_flag, sky } = files.light;
+        let LightFlags { probes, distant: by_flag, sky, cache } = files.light;
         let distant = file.distant.map(|distant| distant.entry(&folder)).transpose()?;
         let mut distant = by_flag.map(|image| ProbeEntry { image, ..ProbeEntry::default() }).or(distant);
         sky.apply(distant.as_mut())?;
@@ -205,6 +217,8 @@ impl Config {
             probes,
             placed_probes,
             settings,
+            files: files_read.into(),
+            cache: Cache::new(cache),
         })
     }
 
@@ -260,8 +274,8 @@ pub fn set_threads(settings: &Settings) -> Result<(), Fault> {
 }
 
 impl BakeFile {
-    fn read(path: &Path, folder: &Path, settings: &mut Settings) -> Result<BakeFile, Fault> {
-        let bytes = std::fs::read(path).map_err(|error| Fault::reading(path, &error))?;
+    fn read(files: &ReadOnce, path: &Path, folder: &Path, settings: &mut Settings) -> Result<BakeFile, Fault> {
+        let bytes = files.read(path).map_err(|error| Fault::reading(path, &error))?.to_vec();
         let invalid = |message: String| Fault::Invalid(format!("{}: {message}", path.display()));
         let text =
             String::from_utf8(bytes).map_err(|_| invalid("is neither glTF (binary or JSON) nor a BAKE.toml".into()))?;

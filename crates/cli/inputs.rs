@@ -2,23 +2,25 @@
 
 use glam::{DQuat, DVec3, Quat, Vec3};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use gdibl_baker::Finding;
-use gdibl_baker::import::gltf::{TextureNeeds, read_level};
-use gdibl_baker::import::image::{Imported, ReadOptions, is_image, read_image};
-use gdibl_baker::import::sky::{SkyOptions, read_sky};
+use gdibl_baker::import::files::Files;
+use gdibl_baker::import::gltf::{TextureNeeds, read_level_from};
+use gdibl_baker::import::image::{Imported, ReadOptions, is_image, read_image_from};
+use gdibl_baker::import::sky::{SkyOptions, read_sky_from};
 use gdibl_baker::job::{Inputs, Memory, Method, NodeKind, Settings};
 use gdibl_baker::panorama::{Mapping, Panorama, to_lat_long};
 use gdibl_baker::radiance::gdibl::Probe;
 use gdibl_baker::radiance::path::specular_left_out;
-use gdibl_baker::scene::Scene;
+use gdibl_baker::scene::ProbeMarker;
 
 use crate::config::{Config, ProbeEntry, file_name, sky_source};
 use crate::fault::Fault;
 use crate::hashes::inputs_of;
 
 /// Who bakes: this program, and the commit of its source where that is known.
-const PROGRAM: [&str; 2] = [
+pub const PROGRAM: [&str; 2] = [
     concat!("gdibl ", env!("CARGO_PKG_VERSION")),
     match option_env!("GDIBL_COMMIT") {
         Some(commit) => commit,
@@ -29,10 +31,10 @@ const PROGRAM: [&str; 2] = [
 /// Level, distant panorama, places, and the probes that are named.
 pub fn read_inputs(config: &Config, textures: TextureNeeds) -> Result<Inputs, Fault> {
     let mut inputs = read_level_and_sky(config, textures)?;
-    let entries = probe_entries(config, &inputs.scene)?;
+    let entries = probe_entries(config, &inputs.scene.probe_markers)?;
     read_probes(&mut inputs, &entries, config)?;
     if let NodeKind::Points(path) = &config.settings.grid.nodes {
-        inputs.places = read_places(path)?.positions;
+        inputs.places = read_places(config.files.as_ref(), path)?.positions;
     }
     inputs.files = inputs_of(config, &entries)?;
     Ok(inputs)
@@ -43,11 +45,11 @@ pub fn read_level_and_sky(config: &Config, textures: TextureNeeds) -> Result<Inp
     let options = config.settings.gltf(textures);
     let by_probes = config.settings.quality.method != Method::Path && config.names_probes();
     let mut left_out = None;
-    let mut scene = match read_level(&config.level, &options) {
+    let mut scene = match read_level_from(config.files.as_ref(), &config.level, &options) {
         // Probes light the level without its colours, too.
         Err(error) if by_probes && textures == TextureNeeds::All => {
             left_out = Some(error.to_string());
-            read_level(&config.level, &config.settings.gltf(TextureNeeds::Gdibl))?
+            read_level_from(config.files.as_ref(), &config.level, &config.settings.gltf(TextureNeeds::Gdibl))?
         }
         read => read?,
     };
@@ -57,7 +59,7 @@ pub fn read_level_and_sky(config: &Config, textures: TextureNeeds) -> Result<Inp
         Finding::new("materials-left-out", 1, message)
     }));
     if let Some(path) = &config.environment {
-        let proxy = read_level(path, &options)?;
+        let proxy = read_level_from(config.files.as_ref(), path, &options)?;
         findings.extend(proxy.findings.iter().cloned());
         scene.replace_environment(proxy);
     }
@@ -75,7 +77,7 @@ pub fn read_level_and_sky(config: &Config, textures: TextureNeeds) -> Result<Inp
             yaw_degrees: entry.yaw,
             exposure_stops: entry.exposure_stops,
         };
-        let (distant, findings) = read_sky(&sky_source(&entry.image)?, &options)?;
+        let (distant, findings) = read_sky_from(config.files.as_ref(), &sky_source(&entry.image)?, &options)?;
         inputs.findings.extend(findings);
         inputs.distant = Some(distant);
     }
@@ -107,7 +109,7 @@ pub fn read_probes(inputs: &mut Inputs, entries: &[ProbeEntry], config: &Config)
 }
 
 /// Probes of BAKE.toml, of --probes, and, when neither names one, of the level's own nodes.
-fn probe_entries(config: &Config, scene: &Scene) -> Result<Vec<ProbeEntry>, Fault> {
+pub fn probe_entries(config: &Config, markers: &[ProbeMarker]) -> Result<Vec<ProbeEntry>, Fault> {
     let mut entries = config.placed_probes.clone();
     for path in &config.probes {
         for image in images_of(path)? {
@@ -115,7 +117,7 @@ fn probe_entries(config: &Config, scene: &Scene) -> Result<Vec<ProbeEntry>, Faul
         }
     }
     if entries.is_empty() {
-        entries.extend(scene.probe_markers.iter().map(|marker| ProbeEntry {
+        entries.extend(markers.iter().map(|marker| ProbeEntry {
             image: marker.image.clone(),
             position: Some(marker.position.into()),
             rotation: Some(marker.rotation.into()),
@@ -160,7 +162,7 @@ fn mapping_of(entry: &ProbeEntry) -> Result<Option<Mapping>, Fault> {
 }
 
 fn read_panorama(entry: &ProbeEntry, config: &Config) -> Result<(Imported, Panorama), Fault> {
-    let imported = read_image(&entry.image, &read_options(entry, config))?;
+    let imported = read_image_from(config.files.as_ref(), &entry.image, &read_options(entry, config))?;
     let mapping = imported.layout(&entry.image, mapping_of(entry)?)?;
     let panorama = to_lat_long(&imported.image, mapping, None);
     Ok((imported, panorama))
@@ -194,14 +196,16 @@ impl Places {
 }
 
 /// Reads `x,y,z[,nx,ny,nz]`, further columns ignored, a header line allowed. `-` is standard input.
-pub fn read_places(path: &Path) -> Result<Places, Fault> {
-    let input: Box<dyn std::io::Read> = if path == Path::new("-") {
-        Box::new(std::io::stdin())
+pub fn read_places(files: &dyn Files, path: &Path) -> Result<Places, Fault> {
+    let bytes = if path == Path::new("-") {
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut std::io::stdin(), &mut bytes).map(|_| Arc::new(bytes))
     } else {
-        Box::new(std::fs::File::open(path).map_err(|error| Fault::reading(path, &error))?)
+        files.read(path)
     };
+    let bytes = bytes.map_err(|error| Fault::reading(path, &error))?;
     let mut reader =
-        csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(input);
+        csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(&bytes[..]);
     let mut places = Places { positions: Vec::new(), normals: Vec::new() };
     for (index, record) in reader.records().enumerate() {
         let line = index + 1;

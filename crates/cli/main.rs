@@ -1,5 +1,6 @@
 //! `gdibl`: bakes irradiance volumes from a glTF level and a few HDR light probes, and tells and shows what is in them.
 
+mod cache;
 mod captures;
 mod commands;
 mod config;
@@ -7,8 +8,13 @@ mod fault;
 mod flags;
 mod hashes;
 mod inputs;
+mod journal;
+mod locks;
 mod progress;
+mod read_once;
 mod report;
+mod request;
+mod say;
 mod session;
 mod stages;
 mod study;
@@ -17,6 +23,7 @@ mod volumes;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
+use progress::Shown;
 use session::{Session, finish};
 
 /// Bakes irradiance volumes by Geometrically Derived Image Based Lighting.
@@ -29,6 +36,9 @@ struct Arguments {
     /// Print the result as one JSON object, also of a run that fails
     #[arg(long, global = true)]
     json: bool,
+    /// How progress is shown: plain is a line every 10 s or 5 % [default: bar in a terminal, else plain]
+    #[arg(long, global = true, value_name = "HOW", hide_possible_values = true)]
+    progress: Option<Shown>,
     #[command(subcommand)]
     verb: Verb,
 }
@@ -37,6 +47,8 @@ struct Arguments {
 enum Verb {
     /// Bake an irradiance volume from a level (.glb, .gltf) or a BAKE.toml
     Bake(Box<commands::bake::Arguments>),
+    /// Put the shards of a bake together: the bytes of one bake
+    Assemble(commands::assemble::Arguments),
     /// Make light probes from a level's own lights, by path tracing
     Capture(Box<commands::capture::Arguments>),
     /// Tell what probes have seen of a level, and where further ones should stand
@@ -61,6 +73,7 @@ impl Verb {
     fn name(&self) -> &'static str {
         match self {
             Verb::Bake(_) => "bake",
+            Verb::Assemble(_) => "assemble",
             Verb::Capture(_) => "capture",
             Verb::Probes(_) => "probes",
             Verb::Inspect(_) => "inspect",
@@ -75,10 +88,11 @@ impl Verb {
 }
 
 fn main() -> ExitCode {
-    let Arguments { json, verb } = Arguments::parse();
-    let session = Session::new(verb.name());
+    let Arguments { json, progress, verb } = Arguments::parse();
+    let session = Session::new(verb.name(), progress);
     let done = match verb {
         Verb::Bake(arguments) => commands::bake::run(*arguments, &session),
+        Verb::Assemble(arguments) => commands::assemble::run(arguments, &session),
         Verb::Capture(arguments) => commands::capture::run(*arguments, &session),
         Verb::Probes(arguments) => commands::probes::run(*arguments, &session),
         Verb::Inspect(arguments) => commands::inspect::run(arguments, &session),

@@ -9,7 +9,8 @@ use std::sync::{Mutex, PoisonError};
 use gdibl_baker::Finding;
 
 use crate::fault::Fault;
-use crate::progress::cancel_on_interrupt;
+use crate::progress::{Shown, cancel_on_interrupt};
+pub use crate::say::say;
 
 /// Version of what `--json` prints: it grows by fields; a field that goes or changes makes a new one.
 const SCHEMA: u32 = 1;
@@ -20,12 +21,19 @@ pub struct Session {
     pub verb: &'static str,
     /// Set by Ctrl-C.
     pub cancel: Arc<AtomicBool>,
+    progress: Shown,
     findings: Mutex<Vec<Finding>>,
 }
 
 impl Session {
-    pub fn new(verb: &'static str) -> Session {
-        Session { verb, cancel: cancel_on_interrupt(), findings: Mutex::default() }
+    pub fn new(verb: &'static str, progress: Option<Shown>) -> Session {
+        let progress = progress.unwrap_or_else(Shown::usual);
+        Session { verb, cancel: cancel_on_interrupt(), progress, findings: Mutex::default() }
+    }
+
+    /// How progress is shown.
+    pub fn shown(&self, quiet: bool) -> Shown {
+        if quiet { Shown::None } else { self.progress }
     }
 
     /// Findings for the report, and as lines on stderr.
@@ -127,10 +135,4 @@ fn print(text: &str) -> std::io::Result<()> {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
         other => other,
     }
-}
-
-/// A line for a person on stderr.
-pub fn say(line: &str) {
-    // Where nobody reads it, nobody misses it.
-    let _ = writeln!(std::io::stderr(), "gdibl: {line}");
 }

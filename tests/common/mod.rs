@@ -23,12 +23,20 @@ pub struct Run {
     pub err: String,
 }
 
-/// A folder with inputs, in which the program runs.
-pub struct Folder(TempDir);
+impl Run {
+    pub fn of(output: &std::process::Output) -> Run {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        Run { code: output.status.code().unwrap_or(-1), out: text(&output.stdout), err: text(&output.stderr) }
+    }
+}
+
+/// A folder with inputs, in which the program runs, and another one for its cache.
+pub struct Folder(TempDir, TempDir);
 
 impl Folder {
     pub fn new() -> Folder {
-        Folder(TempDir::new().expect("a temporary folder"))
+        let new = || TempDir::new().expect("a temporary folder");
+        Folder(new(), new())
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
@@ -79,12 +87,24 @@ impl Folder {
     }
 
     pub fn run(&self, arguments: &[&str]) -> Run {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdibl"));
         // Against a hang, not a measurement.
-        let output = command.current_dir(self.0.path()).args(arguments).timeout(Duration::from_secs(300)).output();
-        let output = output.expect("the program runs");
-        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        Run { code: output.status.code().unwrap_or(-1), out: text(&output.stdout), err: text(&output.stderr) }
+        let output = Command::from_std(self.command(arguments)).timeout(Duration::from_secs(300)).output();
+        Run::of(&output.expect("the program runs"))
+    }
+
+    /// The program with its arguments, in this folder.
+    pub fn command(&self, arguments: &[&str]) -> std::process::Command {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_gdibl"));
+        command.current_dir(self.0.path()).env("XDG_CACHE_HOME", self.1.path()).args(arguments);
+        command
+    }
+
+    /// What is in the cache: paths, sorted.
+    pub fn cached(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(self.1.path().join("gdibl")).into_iter().flatten();
+        let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+        paths.sort();
+        paths
     }
 
     /// Runs and expects success; returns standard output.

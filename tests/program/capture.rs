@@ -78,39 +78,51 @@ fn gdibl_without_a_probe_captures_once_and_writes_the_same_bytes() {
     folder.write("BAKE.toml", "level = \"room.glb\"\n[capture]\nwidth = 16\nsamples = 4\nmost = 2\n");
     let bake = |extra: &[&str]| {
         let run = folder.run(
-            &[&["bake", "BAKE.toml", "--method", "gdibl", "--counts", "2,2,2", "--samples", "64"], extra].concat(),
+            &[&["bake", "BAKE.toml", "--force", "--method", "gdibl", "--counts", "2,2,2", "--samples", "64"], extra]
+                .concat(),
         );
         assert_eq!(run.code, 0, "{}", run.err);
         (folder.read("BAKE.gdibl"), run.err)
     };
-    let captures = || {
-        let mut keys: Vec<String> = std::fs::read_dir(folder.path("BAKE.captured"))
-            .unwrap()
-            .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
-            .collect();
-        keys.sort();
-        keys
-    };
     let (first, said) = bake(&[]);
     assert!(said.contains("captured 2 probes from the level"), "{said}");
-    let key = captures();
-    assert_eq!(key.len(), 1);
+    // Their places, and each of them.
+    let entries = folder.cached();
+    assert_eq!(entries.len(), 3);
     let (second, said) = bake(&[]);
     assert!(!said.contains("captured"), "{said}");
     assert_eq!(first, second);
-    assert_eq!(captures(), key);
-    // Another seed, or another level, is captured anew, and the old probes go.
+    assert_eq!(folder.cached(), entries);
+    // One that is gone, damaged or cut off is captured anew, and gives the same bytes.
+    let probe = entries.iter().find(|path| path.to_string_lossy().contains("-1.")).unwrap();
+    let whole = std::fs::read(probe).unwrap();
+    let mut damaged = whole.clone();
+    damaged[100] ^= 1;
+    for (bytes, word) in
+        [(None, ""), (Some(&damaged[..]), "damaged"), (Some(&whole[..50]), "damaged"), (Some(&[]), "damaged")]
+    {
+        match bytes {
+            None => std::fs::remove_file(probe).unwrap(),
+            Some(bytes) => std::fs::write(probe, bytes).unwrap(),
+        }
+        let (again, said) = bake(&[]);
+        assert!(said.contains("captured 2") && said.contains(word), "{said}");
+        assert!(again == first && std::fs::read(probe).unwrap() == whole);
+    }
+    // A cache that cannot be written costs time alone.
+    let (again, said) = bake(&["--cache", "room.glb/cache"]);
+    assert!(again == first && said.contains("nothing is kept for the next time"), "{said}");
+    // Another seed, or another level, is captured anew.
     let (_, said) = bake(&["--seed", "1"]);
     assert!(said.contains("captured 2"), "{said}");
-    assert_ne!(captures(), key);
+    assert_eq!(folder.cached().len(), 6);
     let other = lamp_room(|level| {
         level.object(&solid_of([1.0, 0.0, 1.0], [1.5, 1.0, 1.5]), 0, json!({}));
     });
     folder.write("room.glb", other.read("room.glb"));
     let (_, said) = bake(&[]);
     assert!(said.contains("captured 2"), "{said}");
-    assert_eq!(captures().len(), 1);
-    assert_ne!(captures(), key);
+    assert_eq!(folder.cached().len(), 9);
     // Forbidden, nothing is covered.
     let run =
         folder.run(&["bake", "BAKE.toml", "--method", "gdibl", "--no-capture", "--counts", "2,2,2", "--samples", "64"]);

@@ -78,7 +78,7 @@ fn exposure_is_matched_by_bake_toml_with_the_same_bytes_on_any_threads() {
     let text = String::from_utf8(folder.read("BAKE.toml")).unwrap();
     folder.write("BAKE.toml", format!("{text}match_exposure = true\n"));
     let bytes = ["1", "2", "5"].map(|threads| {
-        folder.bake(&["BAKE.toml", "--threads", threads]);
+        folder.bake(&["BAKE.toml", "--force", "--threads", threads]);
         folder.read("BAKE.gdibl")
     });
     assert!(bytes[0] == bytes[1] && bytes[0] == bytes[2]);

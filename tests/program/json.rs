@@ -38,7 +38,11 @@ fn every_verb_prints_what_the_schema_describes() {
     let bake = "bake room.glb --probes a.exr --counts 2,2,2 --samples 64";
     for (line, code) in [
         (bake.to_owned(), 0),
+        (bake.to_owned(), 0), // unchanged
         (format!("{bake} --plan"), 0),
+        (format!("{bake} --shard 1/1 -o all.shard"), 0),
+        (format!("{bake} --prepare"), 0),
+        ("assemble all.shard -o all.gdibl".into(), 0),
         (format!("{bake} --target-error 1e-9"), 5),
         ("inspect room.gdibl".into(), 0),
         ("sample room.gdibl --at places.csv".into(), 0),

@@ -11,6 +11,7 @@ mod cut;
 mod dering;
 mod export;
 mod exposure;
+mod farm;
 mod furnace;
 mod json;
 mod leaving_out;

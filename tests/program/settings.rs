@@ -103,7 +103,7 @@ fn what_the_machine_may_use_is_not_recorded_and_changes_nothing() {
     Level::room([-2.0; 3], [2.0; 3]).write(&folder, "room.glb");
     folder.constant("a.exr", [0.0; 3], [1.0; 3]);
     let bake = |flags: &[&str]| {
-        let common = ["room.glb", "--probes", "a.exr", "--counts", "2,2,2", "--samples", "64"];
+        let common = ["room.glb", "--force", "--probes", "a.exr", "--counts", "2,2,2", "--samples", "64"];
         folder.bake(&[&common[..], flags].concat());
         folder.read("room.gdibl")
     };

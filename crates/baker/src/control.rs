@@ -1,5 +1,6 @@
 //! Watching long work, and stopping it.
 
+use crate::blocks::Blocks;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Lets a caller watch a bake or a capture and stop it.
@@ -8,6 +9,8 @@ pub struct Control<'a> {
     pub cancel: &'a AtomicBool,
     /// Called from worker threads with (nodes, pixels or places finished, rays traced) since the last call.
     pub progress: &'a (dyn Fn(u64, u64) + Sync),
+    /// Keeps what is finished. `None`: nothing is kept.
+    pub blocks: Option<&'a dyn Blocks>,
 }
 
 impl Control<'_> {

@@ -41,6 +41,7 @@ pub mod air;
 pub mod analyse;
 mod angle;
 pub mod bake;
+pub mod blocks;
 pub mod capture;
 mod colour;
 mod control;

@@ -16,6 +16,7 @@ use crate::config::{Config, FileFlags, LightFlags, SkyFlags, set_threads};
 use crate::fault::Fault;
 use crate::flags::{OfCaptures, SettingFlags};
 use crate::inputs::read_level_and_sky;
+use crate::progress::Shown;
 use crate::session::{Outcome, Session, say};
 
 #[derive(clap::Args)]
@@ -69,7 +70,7 @@ fn parse_mapping(text: &str) -> Result<Mapping, String> {
 
 pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let started = Instant::now();
-    let light = LightFlags { probes: Vec::new(), distant: arguments.distant, sky: arguments.sky };
+    let light = LightFlags { probes: Vec::new(), distant: arguments.distant, sky: arguments.sky, cache: None };
     let config = Config::new(FileFlags::of(&arguments.input, light), &arguments.settings.given)?;
     set_threads(&config.settings)?;
     let settings = config.settings.capture_probes();
@@ -90,12 +91,13 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         &config,
         folder.as_deref(),
         &arguments.input,
-        (&session.cancel, arguments.quiet),
+        (&session.cancel, session.shown(arguments.quiet)),
     )?;
     for folder in places.iter().filter_map(|place| place.file.parent()) {
         std::fs::create_dir_all(folder).map_err(|error| Fault::writing(folder, &error))?;
     }
-    let outcomes = capture_all(&paths, &places, arguments.mapping, &settings, &session.cancel, arguments.quiet)?;
+    let outcomes =
+        capture_all(&paths, &places, arguments.mapping, &settings, &session.cancel, session.shown(arguments.quiet))?;
 
     session.find(light_without_end(&inputs.scene, &paths).as_slice());
     outcomes.iter().for_each(|outcome| session.find(&outcome.findings));
@@ -120,12 +122,12 @@ fn choose_places(
     config: &Config,
     folder: Option<&Path>,
     input: &Path,
-    (cancel, quiet): (&AtomicBool, bool),
+    (cancel, shown): (&AtomicBool, Shown),
 ) -> Result<Vec<Place>, Fault> {
     let default_folder = input.with_extension("probes");
     let asked = &config.settings.capture;
     if !asked.positions.is_empty() || asked.auto {
-        let places = places(&inputs.scene, paths, asked, folder.unwrap_or(&default_folder), cancel, quiet)?;
+        let places = places(&inputs.scene, paths, asked, folder.unwrap_or(&default_folder), cancel, shown)?;
         if places.is_empty() {
             return Err(Fault::Bound(format!(
                 "{}: --auto found no place for a probe: every place tried stands in a solid or sees nothing; give \

@@ -1,5 +1,6 @@
 //! One file per verb, and what they share.
 
+pub mod assemble;
 pub mod bake;
 pub mod capture;
 pub mod compare;
@@ -27,7 +28,7 @@ pub fn check_output(output: &Path) -> Result<(), Fault> {
         return Err(Fault::Usage(format!("{}: is a folder; name a file", output.display())));
     }
     let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let probe = tempfile::Builder::new().prefix(".gdibl-").tempfile_in(folder);
+    let probe = tempfile::Builder::new().prefix(".gdibl-").suffix(".tmp").tempfile_in(folder);
     probe.map(drop).map_err(|error| Fault::writing(output, &error))
 }
 

@@ -197,7 +197,7 @@ fn run_coverage(arguments: &CoverageArguments, session: &Session) -> Result<Outc
         let [width, height] = arguments.size;
         let settings = RenderSettings { width, height, samples: 16, ..RenderSettings::default() };
         let paint = CoveragePaint::new(&view, found.surfaces_by_solid_angle.pixel_size);
-        let control = Control { cancel: &session.cancel, progress: &|_, _| {} };
+        let control = Control { cancel: &session.cancel, progress: &|_, _| {}, blocks: None };
         let picture = render(&paint, None, &camera, &settings, &control).map_err(|_| Fault::Interrupted)?;
         write_png(output, width, height, &tone::display(&picture.image, 0.0)).map_err(Fault::from_writing)?;
     }
@@ -266,7 +266,7 @@ fn run_suggest(arguments: &SuggestArguments, session: &Session) -> Result<Outcom
     let settings = PlaceSettings { most, gain: arguments.gain.unwrap_or(defaults.gain) };
     let paths = Paths::new(&level.inputs.scene, level.inputs.distant.as_ref(), level.config.settings.capture_path());
     let existing: Vec<DVec3> = level.inputs.probes.iter().map(|probe| probe.position).collect();
-    let placement = place(&paths, level.bounds, &existing, &settings, &session.cancel, false)?;
+    let placement = place(&paths, level.bounds, &existing, &settings, &session.cancel, session.shown(false))?;
     if placement.places == 0 {
         return Err(level.nothing_free());
     }

@@ -23,7 +23,7 @@ use crate::config::{Config, FileFlags, LightFlags, set_threads};
 use crate::fault::Fault;
 use crate::flags::{Given, OfPictures, SettingFlags};
 use crate::inputs::read_inputs;
-use crate::progress::Progress;
+use crate::progress::{Progress, Shown};
 use crate::session::{Outcome, Session};
 
 #[derive(clap::Args)]
@@ -173,14 +173,20 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     }
     super::check_output(&output)?;
     if method == Method::Gdibl && inputs.lacks_probes() {
-        capture_missing(&config, &mut inputs, &session.cancel, arguments.quiet)?;
+        capture_missing(&config, &mut inputs, &session.cancel, session.shown(arguments.quiet))?;
     }
 
-    let shot = Shot { volume: light.as_ref(), camera: &camera, settings: &settings, session, quiet: arguments.quiet };
+    let shot = Shot {
+        volume: light.as_ref(),
+        camera: &camera,
+        settings: &settings,
+        session,
+        shown: session.shown(arguments.quiet),
+    };
     // A picture shows every pixel of a probe as it is; what probes do not see is found from where it is taken.
     let place = camera.position();
     let viewers = Viewers { directions: 0, coarsest: f32::INFINITY, places: vec![place] };
-    let picture = with_function(&inputs, inputs.distant.as_ref(), &config.settings, &viewers, shot)?;
+    let picture = with_function(&inputs, inputs.distant.as_ref(), &config.settings, &viewers, None, shot)?;
     let exposure_stops = match file_type {
         FileType::Png if scale.is_some() => None,
         FileType::Png => Some(arguments.exposure.unwrap_or_else(|| tone::automatic_exposure_stops(&picture.image))),
@@ -216,8 +222,7 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     Ok(Outcome::new(report, text))
 }
 
-/// The command line and BAKE.toml together. A picture's samples and depth are its own. Captured probes lie beside the
-/// picture, by the input's name: for pictures from all sides.
+/// The command line and BAKE.toml together. A picture's samples and depth are its own.
 fn config_of(arguments: &Arguments, output: &Path) -> Result<Config, Fault> {
     let mut given = arguments.settings.given.clone();
     if arguments.shown.lights_all() {
@@ -270,16 +275,16 @@ struct Shot<'a> {
     camera: &'a Camera,
     settings: &'a RenderSettings,
     session: &'a Session,
-    quiet: bool,
+    shown: Shown,
 }
 
 impl Work for Shot<'_> {
     type Output = Result<Picture, Fault>;
 
     fn run(self, function: &impl RadianceFunction, _: Decided) -> Result<Picture, Fault> {
-        let progress = Progress::new("pixels", (self.settings.width * self.settings.height) as u64, self.quiet);
+        let progress = Progress::new("pixels", (self.settings.width * self.settings.height) as u64, self.shown);
         let advance = |pixels, rays| progress.advance(pixels, rays);
-        let control = Control { cancel: &self.session.cancel, progress: &advance };
+        let control = Control { cancel: &self.session.cancel, progress: &advance, blocks: None };
         let picture = render::render(function, self.volume, self.camera, self.settings, &control);
         let picture = picture.map_err(|_| Fault::Interrupted)?;
         progress.finish();

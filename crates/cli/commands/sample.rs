@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use gdibl_baker::Finding;
+use gdibl_baker::import::files::Disk;
 use gdibl_runtime::{Sample, sh};
 use serde::Serialize;
 
@@ -37,7 +38,7 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         let message = format!("{file} is de-ringed: coefficients of nodes that rang are not the raw projection");
         session.find(&[Finding::new("deringed", 1, message)]);
     }
-    let places = read_places(&arguments.at)?;
+    let places = read_places(&Disk, &arguments.at)?;
     if places.normals.is_empty() && !arguments.sh {
         return Err(Fault::Invalid(format!(
             "{}: has no normals, and irradiance needs them: add columns nx,ny,nz, or ask for --sh",

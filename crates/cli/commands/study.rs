@@ -78,7 +78,6 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let stem = arguments.output.as_deref().map(stem_of);
     let files = FileFlags {
         input: arguments.input.clone(),
-        // Captured probes go where those of a bake would.
         output: stem.as_deref().map(|stem| with_ending(stem, "gdibl")),
         light: arguments.light.clone(),
         environment: arguments.environment.clone(),
@@ -96,7 +95,7 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     super::check_output(&with_ending(&stem, "html"))?;
     if !arguments.no_capture && job.inputs.lacks_probes() {
         let read = job.inputs.findings.len();
-        capture_missing(&config, &mut job.inputs, &session.cancel, *quiet)?;
+        capture_missing(&config, &mut job.inputs, &session.cancel, session.shown(*quiet))?;
         session.find(&job.inputs.findings[read..]);
     }
     if given.is_none() && !job.inputs.has_light() {
@@ -109,7 +108,7 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
     let mut runner = Runner { job: &job, cancel: &session.cancel, between: None };
     let work = plan_work(&arguments, &runner, asked, given.as_ref())?;
     say(&format!("{places}; {}", work.text(&arguments)));
-    let progress = Progress::new("directions", work.directions, *quiet);
+    let progress = Progress::new("directions", work.directions, session.shown(*quiet));
     let truths = given.as_ref().map_or(&[][..], |given| &given.truths);
     session.find(&other_levels("the study", &file_name(&config.level), truths));
     let (truths, reference) = match given {

@@ -17,7 +17,7 @@ use gdibl_baker::seen::HeldOut;
 use super::methods::{Circumstances, Method};
 use crate::captures;
 use crate::fault::Fault;
-use crate::progress::{Clock, Progress};
+use crate::progress::{Clock, Progress, Shown};
 
 /// Of the capture that is timed: a second or two for the probes of a room.
 const MEASURED_WIDTH: usize = 128;
@@ -121,7 +121,7 @@ impl Runner<'_> {
                 setup.set([clock.wall_seconds(), clock.cpu_seconds()]);
             }
         };
-        let watch = Watch { cancel: self.cancel, progress: &advance, stage: &stage, seconds: &|| 0.0 };
+        let watch = Watch { cancel: self.cancel, progress: &advance, stage: &stage, seconds: &|| 0.0, blocks: None };
         let baked = self.job.sample(&settings, method.importance(), &watch).map_err(|_| Fault::Interrupted)?.baked;
         let [setup_wall, setup_cpu] = setup.get();
         let cost = Cost {
@@ -152,11 +152,11 @@ impl Runner<'_> {
         let paths = Path::new(scene, distant.as_ref(), self.job.settings.capture_path());
         let placed = *captured && asked.positions.is_empty();
         if placed {
-            captures::automatic_placement(scene, &paths, asked, self.cancel, true)?;
+            captures::automatic_placement(scene, &paths, asked, self.cancel, Shown::None)?;
         }
         cpu_seconds += clock.cpu_seconds();
         wall_seconds += clock.wall_seconds();
-        let control = Control { cancel: self.cancel, progress: &|_, _| {} };
+        let control = Control { cancel: self.cancel, progress: &|_, _| {}, blocks: None };
         for (index, probe) in probes.iter().enumerate() {
             let width = probe.panorama.width();
             let settings = CaptureSettings {

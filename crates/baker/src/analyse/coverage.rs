@@ -173,7 +173,7 @@ fn degrees(pixels: f32) -> f32 {
 /// What the probes have seen of the level in `bounds` (world metres). `distant_pixels`: of the distant panorama.
 pub fn coverage(view: &CoverageView, bounds: (DVec3, DVec3), distant_pixels: Option<usize>) -> Coverage {
     let looker = Looker::new(view.path);
-    let uninterrupted = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let uninterrupted = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let space = FreeSpace::find(&looker, bounds, &uninterrupted).expect("nobody interrupts");
     let sights = space.sights(view.path, DIRECTIONS, &uninterrupted).expect("nobody interrupts");
     let sphere = 4.0 * std::f64::consts::PI / sights.len().max(1) as f64;

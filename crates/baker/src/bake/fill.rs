@@ -156,7 +156,7 @@ mod tests {
             let function = Path::new(&scene, None, PathSettings::default());
             let grid = grid_of_counts(DVec3::new(-1.5, 0.0, 0.0), DVec3::new(1.5, 1.0, 1.0), [4, 2, 2]);
             let nodes = Nodes::Grid(grid);
-            let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+            let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
             let settings = BakeSettings { bands: 0, samples: 4, ..BakeSettings::default() };
             let mut baked = bake(&nodes, &function, &settings, &control).unwrap();
             for node in 0..16 {

@@ -16,6 +16,8 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 
 use super::integrate::share;
+use super::pass::Pass;
+use crate::blocks::{Found, PassKind};
 use crate::radiance::{PathContext, RadianceFunction};
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::{Control, Interrupted};
@@ -71,13 +73,22 @@ pub fn irradiance_at(
     control: &Control,
 ) -> Result<Vec<Gathered>, Interrupted> {
     assert!((1..=1 << 31).contains(&settings.samples), "samples {}", settings.samples);
+    let pass = Pass::begin(control, PassKind::Split);
     let gather = |(index, place): (usize, &SurfacePlace)| {
-        let mut rays = 0;
-        let gathered = gather(place, index as u64, function, settings, control, &mut rays)?;
-        (control.progress)(1, rays);
-        Ok(gathered)
+        let find = || {
+            let (mut rays, mut found) = (0, Vec::new());
+            let Gathered { irradiance, standard_error, coverage } =
+                gather(place, index as u64, function, settings, control, (&mut rays, &mut found))?;
+            Ok((irradiance.to_array(), standard_error.to_array(), coverage, rays, found))
+        };
+        let block = pass.block(index, |_| true, find)?.expect("shards end before this");
+        let (irradiance, standard_error, coverage, rays, found) = block;
+        (control.progress)(1, rays + pass.count(&found));
+        Ok(Gathered { irradiance: irradiance.into(), standard_error: standard_error.into(), coverage })
     };
-    places.par_iter().enumerate().map(gather).collect()
+    let gathered = places.par_iter().enumerate().map(gather).collect::<Result<Vec<Gathered>, Interrupted>>()?;
+    pass.end()?;
+    Ok(gathered)
 }
 
 fn gather(
@@ -86,7 +97,7 @@ fn gather(
     function: &impl RadianceFunction,
     settings: &GatherSettings,
     control: &Control,
-    rays: &mut u64,
+    (rays, found): (&mut u64, &mut Vec<Found>),
 ) -> Result<Gathered, Interrupted> {
     let origin = function.frame().to_trace(place.position);
     let replicates = u64::from(REPLICATES).min(settings.samples) as u32;
@@ -112,6 +123,7 @@ fn gather(
             }
         }
         *rays += context.rays;
+        found.append(&mut context.found);
         sums.push(sum);
     }
     Ok(estimate(&sums))

@@ -12,6 +12,7 @@ mod gather;
 mod integrate;
 mod irradiance;
 mod nodes;
+pub(crate) mod pass;
 mod sample;
 mod sealed;
 mod sparse;

@@ -1,5 +1,6 @@
 //! Samples nodes until they are known well enough, in batches.
 
+use bincode::{Decode, Encode};
 use gdibl_runtime::sh;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -8,9 +9,11 @@ use std::sync::Mutex;
 use super::baked::BakeSettings;
 use super::integrate::{Integrator, IntegratorSettings, Moments, NodeEstimate, Place, Sequence, Told};
 use super::nodes::Nodes;
+use super::pass::Pass;
 use super::standing::{Sites, Standing};
 use super::summary::Summary;
 use super::systematic::least_systematic_error;
+use crate::blocks::{Found, PassKind};
 use crate::radiance::{Audit, PathContext, RadianceFunction, number_of_place};
 use crate::sampling::{Sampler, Stream};
 use crate::{Control, Interrupted};
@@ -60,8 +63,9 @@ impl Batch {
         let open = sites.open(nodes.neighbourhoods(&sites.numbers).into_iter());
         (control.progress)((count - open.len()) as u64, sites.rays);
         let job = Job { nodes, sites: &sites, function, settings, control };
+        let mut pilot_rays = 0;
         let scale = match settings.target_error {
-            Some(_) if settings.samples > PILOT_SAMPLES && scale.is_none() => Some(job.pilot(&open)?),
+            Some(_) if settings.samples > PILOT_SAMPLES && scale.is_none() => Some(job.pilot(&open, &mut pilot_rays)?),
             _ => scale,
         };
         let enough = |done: u64, estimate: Option<&NodeEstimate>| match (settings.target_error, scale, estimate) {
@@ -79,13 +83,23 @@ impl Batch {
             _ => settings.samples,
         };
         let mut sampled = Sampled::new(count, settings);
-        job.sample(&open, enough, &mut sampled)?;
+        sampled.rays = pilot_rays;
+        job.sample(&open, PassKind::Split, enough, &mut sampled)?;
         let scale = scale.unwrap_or_else(|| sampled.scale(&open));
         let is_dark = |sampled: &Sampled, node: &u32| sampled.estimates[*node as usize].is_dark(scale.median);
         let dark: Vec<u32> = sites.suspects.iter().copied().filter(|node| is_dark(&sampled, node)).collect();
         let out = sites.step_out(&dark, nodes, function);
-        let silent = Control { cancel: control.cancel, progress: &|_, rays| (control.progress)(0, rays) };
-        Job { nodes, sites: &sites, function, settings, control: &silent }.sample(&out, enough, &mut sampled)?;
+        let silent = Control {
+            cancel: control.cancel,
+            progress: &|_, rays| (control.progress)(0, rays),
+            blocks: control.blocks,
+        };
+        Job { nodes, sites: &sites, function, settings, control: &silent }.sample(
+            &out,
+            PassKind::Split,
+            enough,
+            &mut sampled,
+        )?;
         for node in out.into_iter().filter(|node| !is_dark(&sampled, node)) {
             sites.standing[node as usize] = Standing::Open;
         }
@@ -163,6 +177,20 @@ impl Sampled {
         &self.sh[place * stride..][..stride]
     }
 
+    /// Takes what the nodes at these places came to.
+    fn set(&mut self, places: &[u32], block: &Block, stride: usize) {
+        for (at, &place) in places.iter().enumerate() {
+            let own = |at: usize| at * stride..(at + 1) * stride;
+            self.sh[own(place as usize)].copy_from_slice(&block.sh[own(at)]);
+            if !block.coefficient_error.is_empty() {
+                self.coefficient_error[own(place as usize)].copy_from_slice(&block.coefficient_error[own(at)]);
+            }
+            self.estimates[place as usize] = block.estimates[at];
+        }
+        self.samples += block.samples;
+        self.rays += block.rays;
+    }
+
     fn new(nodes: usize, settings: &BakeSettings) -> Sampled {
         let stride = 3 * sh::coefficient_count(settings.bands);
         Sampled {
@@ -185,11 +213,12 @@ struct Job<'a, F> {
 }
 
 impl<F: RadianceFunction> Job<'_, F> {
-    /// The scale of errors at these nodes, from a few samples each.
-    fn pilot(&self, which: &[u32]) -> Result<Scale, Interrupted> {
+    /// The scale of errors at these nodes, from a few samples each. Counts its rays.
+    fn pilot(&self, which: &[u32], rays: &mut u64) -> Result<Scale, Interrupted> {
         let mut sampled = Sampled::new(self.sites.numbers.len(), self.settings);
-        let silent = Control { cancel: self.control.cancel, progress: &|_, _| {} };
-        Job { control: &silent, ..*self }.sample(which, |_, _| PILOT_SAMPLES, &mut sampled)?;
+        let silent = Control { cancel: self.control.cancel, progress: &|_, _| {}, blocks: self.control.blocks };
+        Job { control: &silent, ..*self }.sample(which, PassKind::Shared, |_, _| PILOT_SAMPLES, &mut sampled)?;
+        *rays += sampled.rays;
         Ok(sampled.scale(which))
     }
 
@@ -198,56 +227,95 @@ impl<F: RadianceFunction> Job<'_, F> {
     fn sample(
         &self,
         which: &[u32],
+        kind: PassKind,
         enough: impl Fn(u64, Option<&NodeEstimate>) -> u64 + Sync,
         sampled: &mut Sampled,
     ) -> Result<(), Interrupted> {
-        let Job { function, settings, control, .. } = *self;
+        let Job { function, settings, control, sites, .. } = *self;
+        let origin = |which: &[u32]| sites.place(which[0], self.nodes, function).to_array();
+        let numbers = |which: &[u32]| -> Vec<u32> { which.iter().map(|&i| sites.numbers[i as usize]).collect() };
         let stride = 3 * sh::coefficient_count(settings.bands);
         let sampled = Mutex::new(sampled);
+        let pass = Pass::begin(control, kind);
         let share = (AUDITED_NODES / which.len() as f64).min(MOST_AUDITED_NODES);
         let audited_places = (share * f64::from(u32::MAX)) as u32;
         let integration =
             IntegratorSettings { bands: settings.bands, clamp: settings.clamp, importance: settings.importance };
-        which.par_chunks(NEIGHBOURS).with_max_len(1).try_for_each_init(
-            || Integrator::new(integration),
-            |integrator, neighbours| {
-                let mut known_rays = 0;
-                let places: Vec<Place> = neighbours
-                    .iter()
-                    .map(|&index| {
-                        let origin = self.sites.place(index, self.nodes, function);
-                        let node = u64::from(self.sites.numbers[index as usize]);
-                        let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node };
-                        let known = match settings.punctual {
-                            true => punctual_light(function, origin, &mut known_rays),
-                            false => NO_LIGHT,
-                        };
-                        Place { sequence, origin, known }
-                    })
-                    .collect();
-                // A node may take minutes: its rays stop, too.
-                let radiance = |origin: Vec3, direction: Vec3, context: &mut PathContext| {
-                    (!control.cancelled()).then(|| told(function, audited_places, origin, direction, context))
-                };
-                let estimates = integrator.integrate(function.guide(), &places, radiance, &enough)?;
-                let rays = known_rays + estimates.iter().map(|estimate| estimate.rays).sum::<u64>();
-                let mut sampled = sampled.lock().expect("no worker panics");
-                for (&index, estimate) in neighbours.iter().zip(&estimates) {
-                    let index = index as usize;
-                    let own = index * stride..(index + 1) * stride;
-                    store(&mut sampled.sh[own.clone()], &estimate.sh);
-                    if settings.coefficient_errors {
-                        store(&mut sampled.coefficient_error[own], &estimate.coefficient_error);
-                    }
-                    sampled.estimates[index] = Summary::from(estimate);
-                    sampled.samples += estimate.samples;
-                }
-                sampled.rays += rays;
-                drop(sampled);
-                (control.progress)(estimates.len() as u64, rays);
-                Ok(())
-            },
-        )
+        let find = |integrator: &mut Integrator, neighbours: &[u32]| {
+            let mut known_rays = 0;
+            let places: Vec<Place> = neighbours
+                .iter()
+                .map(|&index| {
+                    let origin = self.sites.place(index, self.nodes, function);
+                    let node = u64::from(self.sites.numbers[index as usize]);
+                    let sequence = Sequence { sampler: settings.sampler, seed: settings.seed, node };
+                    let known = match settings.punctual {
+                        true => punctual_light(function, origin, &mut known_rays),
+                        false => NO_LIGHT,
+                    };
+                    Place { sequence, origin, known }
+                })
+                .collect();
+            // A node may take minutes: its rays stop, too.
+            let radiance = |origin: Vec3, direction: Vec3, context: &mut PathContext| {
+                (!control.cancelled()).then(|| told(function, audited_places, origin, direction, context))
+            };
+            let estimates = integrator.integrate(function.guide(), &places, radiance, &enough)?;
+            let rows = |of: fn(&NodeEstimate) -> &Moments| {
+                let mut rows = vec![0.0; stride * estimates.len()];
+                rows.chunks_exact_mut(stride).zip(&estimates).for_each(|(row, estimate)| store(row, of(estimate)));
+                rows
+            };
+            Ok(Block {
+                numbers: numbers(neighbours),
+                origin: origin(neighbours),
+                sh: rows(|estimate| &estimate.sh),
+                coefficient_error: match settings.coefficient_errors {
+                    true => rows(|estimate| &estimate.coefficient_error),
+                    false => Vec::new(),
+                },
+                estimates: estimates.iter().map(Summary::from).collect(),
+                samples: estimates.iter().map(|estimate| estimate.samples).sum(),
+                rays: known_rays + estimates.iter().map(|estimate| estimate.rays).sum::<u64>(),
+                found: estimates.iter().flat_map(|estimate| &estimate.found).copied().collect(),
+            })
+        };
+        let sample = |integrator: &mut Integrator, (number, neighbours): (usize, &[u32])| {
+            let fits = |block: &Block| block.origin == origin(neighbours) && block.fits(&numbers(neighbours), settings);
+            let Some(mut block) = pass.block(number, fits, || find(integrator, neighbours))? else { return Ok(()) };
+            block.rays += pass.count(&block.found);
+            sampled.lock().expect("no worker panics").set(neighbours, &block, stride);
+            (control.progress)(neighbours.len() as u64, block.rays);
+            Ok(())
+        };
+        let blocks = which.par_chunks(NEIGHBOURS).enumerate().with_max_len(1);
+        blocks.try_for_each_init(|| Integrator::new(integration), sample)?;
+        pass.end()
+    }
+}
+
+/// What nodes in a row came to.
+#[derive(Debug, Encode, Decode)]
+struct Block {
+    /// Which nodes, and where the rays of the first one start: of another grid they have the same numbers.
+    numbers: Vec<u32>,
+    origin: [f32; 3],
+    sh: Vec<f32>,
+    coefficient_error: Vec<f32>,
+    estimates: Vec<Summary>,
+    samples: u64,
+    /// But those of `found`.
+    rays: u64,
+    found: Vec<Found>,
+}
+
+impl Block {
+    /// It is of these nodes, and has all that the settings ask for.
+    fn fits(&self, numbers: &[u32], settings: &BakeSettings) -> bool {
+        let size = 3 * sh::coefficient_count(settings.bands) * numbers.len();
+        let errors = if settings.coefficient_errors { size } else { 0 };
+        self.numbers == numbers
+            && (self.sh.len(), self.coefficient_error.len(), self.estimates.len()) == (size, errors, numbers.len())
     }
 }
 

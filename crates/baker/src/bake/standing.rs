@@ -7,18 +7,21 @@
 //! with either side inward; who sees their backs and then finds next to no light was in a solid, too, as long as some node of
 //! the volume is in the open.
 
+use bincode::{Decode, Encode};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::pass::Pass;
 use super::{Nodes, SparseGrid};
+use crate::blocks::PassKind;
 use crate::radiance::{RadianceFunction, SOLID_BACKS};
 use crate::sampling::fibonacci_sphere;
 use crate::trace::{Level, Met};
 use crate::{Control, Interrupted};
 
 /// What a node stands in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
 pub enum Standing {
     /// In the open: baked.
     #[default]
@@ -63,9 +66,14 @@ pub(super) struct Sites {
     pub rays: u64,
 }
 
+/// Nodes of a block.
+const BLOCK: usize = 64;
+
 /// Where a node stands after a look around.
+#[derive(Debug, Clone, Copy, Encode, Decode)]
 struct Site {
-    place: Vec3,
+    /// Trace space.
+    place: [f32; 3],
     standing: Standing,
     is_suspect: bool,
     rays: u64,
@@ -100,12 +108,25 @@ impl Sites {
             false => Ok(around.settle(origin(index))),
         };
         let start = || Around::new(nodes, function);
-        let found: Result<Vec<Site>, Interrupted> = (0..count).into_par_iter().map_init(start, settle).collect();
-        for (index, site) in found?.iter().enumerate() {
+        let pass = Pass::begin(control, PassKind::Shared);
+        let mut found: Vec<Site> = Vec::with_capacity(count);
+        let all: Vec<usize> = (0..count).collect();
+        let blocks: Result<Vec<Option<Vec<Site>>>, Interrupted> = all
+            .par_chunks(BLOCK)
+            .enumerate()
+            .map_init(start, |around, (number, block)| {
+                let find = || block.iter().map(|index| settle(around, *index)).collect();
+                pass.block(number, |sites: &Vec<Site>| sites.len() == block.len(), find)
+            })
+            .collect();
+        blocks?.into_iter().for_each(|block| found.extend(block.expect("every run looks around")));
+        pass.end()?;
+        for (index, site) in found.iter().enumerate() {
             sites.rays += site.rays;
             sites.standing.push(site.standing);
-            if site.place != sites.origin(index as u32, nodes, function) {
-                sites.moved.push((index as u32, site.place));
+            let place = Vec3::from(site.place);
+            if place != sites.origin(index as u32, nodes, function) {
+                sites.moved.push((index as u32, place));
             }
             if site.is_suspect {
                 sites.suspects.push(index as u32);
@@ -241,7 +262,12 @@ impl<'a> Around<'a> {
         let place = if self.leaves_surfaces { self.off_surfaces(place) } else { place };
         let look = self.look(place, LOOKS);
         let look = if DOUBT.contains(&look.backs) { self.look(place, CLOSE_LOOKS) } else { look };
-        let site = |place, standing, is_suspect| Site { place, standing, is_suspect, rays: self.level.take_rays() };
+        let site = |place: Vec3, standing, is_suspect| Site {
+            place: place.into(),
+            standing,
+            is_suspect,
+            rays: self.level.take_rays(),
+        };
         if look.solid <= MOST_BACKS {
             return site(place, Standing::Open, look.backs > MOST_BACKS);
         }

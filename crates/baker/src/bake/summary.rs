@@ -1,9 +1,11 @@
 //! What is kept of a node besides its coefficients.
 
+use bincode::{Decode, Encode};
+
 use super::integrate::{Bias, NodeEstimate};
 
 /// What is kept of a node besides its coefficients.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, Encode, Decode)]
 pub(super) struct Summary {
     pub standard_error: f64,
     pub worst_error: f64,

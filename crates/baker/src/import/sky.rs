@@ -5,7 +5,8 @@ use std::str::FromStr;
 
 use glam::{DQuat, Quat};
 
-use super::image::{ReadOptions, read_image};
+use super::files::{Disk, Files};
+use super::image::{ReadOptions, read_image_from};
 use crate::panorama::{Mapping, Panorama, to_lat_long};
 use crate::radiance::Distant;
 use crate::{Error, Finding, Result};
@@ -51,6 +52,11 @@ pub struct SkyOptions {
 
 /// Reads the sky, and what its file has that deserves a look.
 pub fn read_sky(source: &SkySource, options: &SkyOptions) -> Result<(Distant, Vec<Finding>)> {
+    read_sky_from(&Disk, source, options)
+}
+
+/// The same with the bytes that `files` gives.
+pub fn read_sky_from(files: &dyn Files, source: &SkySource, options: &SkyOptions) -> Result<(Distant, Vec<Finding>)> {
     let (name, panorama, rotation, findings) = match source {
         SkySource::Constant(radiance) => {
             let [r, g, b] = radiance;
@@ -58,7 +64,7 @@ pub fn read_sky(source: &SkySource, options: &SkyOptions) -> Result<(Distant, Ve
             (name, Panorama::new(1, 1, vec![*radiance], None), options.rotation, Vec::new())
         }
         SkySource::Image(path) => {
-            let imported = read_image(path, &options.read)?;
+            let imported = read_image_from(files, path, &options.read)?;
             let mapping = imported.layout(path, options.mapping)?;
             let panorama = to_lat_long(&imported.image, mapping, None);
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -35,6 +35,8 @@ pub struct Inputs {
     pub files: Vec<InputRecord>,
     /// Who bakes: a program with its version, and the commit of its source.
     pub program: [String; 2],
+    /// For the record: a hash of all that was asked for; zeros where nobody needs to know.
+    pub request: [u8; 32],
 }
 
 impl Inputs {
@@ -51,6 +53,7 @@ impl Inputs {
             findings: Vec::new(),
             files: Vec::new(),
             program: [concat!("gdibl-baker ", env!("CARGO_PKG_VERSION")).into(), String::new()],
+            request: [0; 32],
         }
     }
 

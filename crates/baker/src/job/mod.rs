@@ -22,6 +22,7 @@ use gdibl_runtime::grid::Grid;
 use std::cell::LazyCell;
 
 use crate::bake::{self, Baked, Nodes, Shells};
+use crate::blocks::{AllShared, Blocks};
 use crate::exposure::{ExposureMatch, match_exposure};
 use crate::pack::{PackSettings, Sections, pack, sections};
 use crate::radiance::RadianceFunction;
@@ -150,7 +151,7 @@ impl Job {
     /// What will be done and left out, and why. No ray is traced.
     pub fn plan(&self) -> Vec<PlanRow> {
         let mut rows = self.first_rows();
-        rows.extend(self.with_function(&self.settings, RowsOf));
+        rows.extend(self.with_function(&self.settings, None, RowsOf));
         if self.searches() {
             rows.push(PlanRow::new(
                 "spacing",
@@ -190,7 +191,7 @@ impl Job {
         let (method, mut rows) = (self.method(), self.first_rows());
         (watch.stage)(Stage::Prepare);
         let sample = Sample { job: self, settings: &self.settings, importance: true, searches: self.searches(), watch };
-        let sampled = self.with_function(&self.settings, sample)?;
+        let sampled = self.with_function(&self.settings, watch.blocks, sample)?;
         let Sampled { nodes, mut baked, sparse, held_out, decided, stages } = sampled;
         check_valid(&baked).map_err(Stop::Nothing)?;
         bake::check_finite(nodes.as_ref().unwrap_or(&self.nodes), &baked, &self.inputs.scene)
@@ -227,9 +228,10 @@ impl Job {
             ..StatisticsRecord::of(&baked)
         };
         let probes = probe_records(&self.inputs.probes, distant);
-        let Inputs { level, files, program, .. } = &self.inputs;
+        let Inputs { level, files, program, request, .. } = &self.inputs;
+        let settings = settings_record(&self.settings, method, &nodes, level, files.clone(), program.clone());
         let records = Records {
-            settings: Some(settings_record(&self.settings, method, &nodes, level, files.clone(), program.clone())),
+            settings: Some(SettingsRecord { request: *request, ..settings }),
             probes,
             statistics: Some(statistics),
             plan: rows,
@@ -245,7 +247,7 @@ impl Job {
     /// The caller cancelled.
     pub fn sample(&self, settings: &Settings, importance: bool, watch: &Watch) -> Result<Sampled, Interrupted> {
         (watch.stage)(Stage::Prepare);
-        self.with_function(settings, Sample { job: self, settings, importance, searches: false, watch })
+        self.with_function(settings, watch.blocks, Sample { job: self, settings, importance, searches: false, watch })
     }
 
     /// Light at places between the nodes, by the method of `settings` and so many directions each. `None`: between the nodes
@@ -254,7 +256,8 @@ impl Job {
     /// # Errors
     /// The caller cancelled.
     pub fn hold_out(&self, settings: &Settings, samples: u64, watch: &Watch) -> Result<Option<HeldOut>, Interrupted> {
-        self.with_function(settings, HoldOut { job: self, nodes: &self.nodes, settings, samples, watch })
+        let hold_out = HoldOut { job: self, nodes: &self.nodes, settings, samples, watch, blocks: watch.blocks };
+        self.with_function(settings, watch.blocks, hold_out)
     }
 
     /// Coarser grids are tried first.
@@ -278,7 +281,8 @@ impl Job {
 
     fn pace(&self, budget: f64, watch: &Watch) -> Result<Pace, Interrupted> {
         let begun = (watch.seconds)();
-        self.with_function(&self.settings, Trial { nodes: &self.nodes, budget, settings: &self.settings, begun, watch })
+        let trial = Trial { nodes: &self.nodes, budget, settings: &self.settings, begun, watch };
+        self.with_function(&self.settings, None, trial)
     }
 
     /// Seconds that the bake is likely to take on this machine, without the capture of probes; a few nodes are baked to know.
@@ -291,7 +295,7 @@ impl Job {
     }
 
     /// Calls `work` with the radiance function of the method in force.
-    fn with_function<W: Work>(&self, settings: &Settings, work: W) -> W::Output {
+    fn with_function<W: Work>(&self, settings: &Settings, blocks: Option<&dyn Blocks>, work: W) -> W::Output {
         let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
         let directions = settings.bake().directions(self.nodes.len() as u64);
         let (min, max) = self.inputs.scene.bounds(|_| true).unwrap_or_default();
@@ -300,7 +304,7 @@ impl Job {
             coarsest: self.nodes.coarsest_pixel((max - min).max_element()),
             places: self.nodes.some_positions(UNSEEN_PLACES),
         };
-        with_function(&self.inputs, distant, settings, &viewers, work)
+        with_function(&self.inputs, distant, settings, &viewers, blocks, work)
     }
 
     /// What was decided before there was a radiance function.
@@ -389,7 +393,7 @@ impl Sample<'_, '_> {
     fn bake(&self, function: &impl RadianceFunction, decided: Decided) -> Result<Sampled, Interrupted> {
         let Sample { job, settings, watch, .. } = self;
         (watch.stage)(Stage::Nodes);
-        let control = Control { cancel: watch.cancel, progress: watch.progress };
+        let control = Control { cancel: watch.cancel, progress: watch.progress, blocks: watch.blocks };
         let bake_settings = self.bake_settings();
         let (nodes, baked, sparse) = match (&job.nodes, settings.grid.tolerance) {
             (Nodes::Grid(grid), Some(tolerance)) => {
@@ -403,7 +407,7 @@ impl Sample<'_, '_> {
         let mut held_out = None;
         if settings.quality.seen_places != Some(0) && matches!(all, Nodes::Grid(_) | Nodes::Sparse(_)) {
             (watch.stage)(Stage::Seen);
-            held_out = self.hold_out(all, &baked, function)?;
+            held_out = self.hold_out(all, &baked, function, watch.blocks)?;
             stages.extend(held_out.as_ref().map(|held_out| (Stage::Seen, held_out.rays())));
         }
         Ok(Sampled { nodes, baked, sparse, held_out, decided, stages })
@@ -419,7 +423,10 @@ impl Sample<'_, '_> {
         let Sample { job, settings, watch, .. } = self;
         (watch.stage)(Stage::Spacing);
         let bake_settings = self.bake_settings();
-        let silent = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
+        // Every shard tries the same coarse grids; the last one is divided.
+        let shared = watch.blocks.map(AllShared);
+        let blocks = shared.as_ref().map(|shared| shared as &dyn Blocks);
+        let silent = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays), blocks };
         let mut search = Search::new(finest, Limits::of(&settings.grid, settings.quality.max_seen_error));
         let (mut bakes, mut held_out) = (Vec::new(), None);
         let (grid, baked, stage) = loop {
@@ -428,7 +435,7 @@ impl Sample<'_, '_> {
                     let nodes = Nodes::Grid(grid);
                     let baked = bake::bake(&nodes, function, &bake_settings, &silent)?;
                     if bakes.is_empty() {
-                        held_out = self.hold_out(&job.nodes, &baked, function)?;
+                        held_out = self.hold_out(&job.nodes, &baked, function, blocks)?;
                     }
                     let (volume, bytes) = as_read(&nodes, &baked, settings);
                     let seen = held_out.as_ref().map(|held_out| held_out.errors(&nodes, &baked, &volume).0);
@@ -442,7 +449,7 @@ impl Sample<'_, '_> {
                 }
                 Next::Last(grid) => {
                     (watch.stage)(Stage::Nodes);
-                    let control = Control { cancel: watch.cancel, progress: watch.progress };
+                    let control = Control { cancel: watch.cancel, progress: watch.progress, blocks: watch.blocks };
                     let baked = bake::bake(&Nodes::Grid(grid), function, &bake_settings, &control)?;
                     break (grid, baked, Stage::Nodes);
                 }
@@ -465,13 +472,15 @@ impl Sample<'_, '_> {
         nodes: &Nodes,
         baked: &Baked,
         function: &impl RadianceFunction,
+        blocks: Option<&dyn Blocks>,
     ) -> Result<Option<HeldOut>, Interrupted> {
         let valid = baked.valid_nodes().count() as u64;
         if valid == 0 {
             return Ok(None);
         }
         let samples = baked.samples.div_ceil(valid);
-        HoldOut { job: self.job, nodes, settings: self.settings, samples, watch: self.watch }.by(function)
+        let hold_out = HoldOut { job: self.job, nodes, settings: self.settings, samples, watch: self.watch, blocks };
+        hold_out.by(function)
     }
 }
 
@@ -482,6 +491,7 @@ struct HoldOut<'a, 'b> {
     settings: &'a Settings,
     samples: u64,
     watch: &'a Watch<'b>,
+    blocks: Option<&'a dyn Blocks>,
 }
 
 impl Work for HoldOut<'_, '_> {
@@ -494,10 +504,10 @@ impl Work for HoldOut<'_, '_> {
 
 impl HoldOut<'_, '_> {
     fn by(&self, function: &impl RadianceFunction) -> Result<Option<HeldOut>, Interrupted> {
-        let HoldOut { job, nodes, settings, samples, watch } = self;
+        let HoldOut { job, nodes, settings, samples, watch, blocks } = self;
         let usual = || seen::usual_count(nodes.len());
         let count = settings.quality.seen_places.map_or_else(usual, |count| count as usize);
-        let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
+        let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays), blocks: *blocks };
         seen::hold_out(nodes, &job.inputs.scene, count, *samples, function, &settings.bake(), &control)
     }
 }
@@ -618,5 +628,6 @@ fn settings_record(
         commit,
         settings: in_force.recorded().into_iter().map(|(name, value)| SettingRecord { name, value }).collect(),
         inputs,
+        request: [0; 32],
     }
 }

@@ -70,6 +70,8 @@ later {
     settings: Vec<SettingRecord>,
     /// What was read.
     inputs: Vec<InputRecord>,
+    /// BLAKE3 hash of all that was asked for, with the inputs and the program: an equal one gives the same bytes. Zeros: not known.
+    request: [u8; 32],
 }
 }
 
@@ -515,7 +517,13 @@ mod tests {
         assert_eq!(read(&bytes).unwrap(), record);
         assert_eq!(read(&[&bytes[..], &[1; 9]].concat()).unwrap(), record, "one more field");
         // Where each of the later fields begins. A cut at any other place is damage.
-        let ends = [0, encode(&record.commit).len(), encode(&record.settings).len(), encode(&record.inputs).len()];
+        let ends = [
+            0,
+            encode(&record.commit).len(),
+            encode(&record.settings).len(),
+            encode(&record.inputs).len(),
+            encode(&record.request).len(),
+        ];
         let first = bytes.len() - ends.iter().sum::<usize>();
         let borders: Vec<usize> = ends
             .iter()
@@ -529,7 +537,7 @@ mod tests {
         for cut in 0..bytes.len() {
             assert_eq!(read(&bytes[..cut]).is_ok(), borders.contains(&cut), "{cut} of {borders:?}");
         }
-        let older = SettingsRecord { settings: Vec::new(), inputs: Vec::new(), ..record };
+        let older = SettingsRecord { settings: Vec::new(), inputs: Vec::new(), request: [0; 32], ..record };
         assert_eq!(read(&bytes[..borders[0]]).unwrap(), older);
     }
 

@@ -209,7 +209,7 @@ impl Work for Trial<'_, '_> {
 
     fn run(self, function: &impl RadianceFunction, _: Decided) -> Self::Output {
         let Trial { nodes, budget, settings, begun, watch } = self;
-        let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays) };
+        let control = Control { cancel: watch.cancel, progress: &|_, rays| (watch.progress)(0, rays), blocks: None };
         let time = |count: usize| -> Result<f64, Interrupted> {
             let some = Nodes::Points(nodes.some_positions(count));
             let begun = (watch.seconds)();

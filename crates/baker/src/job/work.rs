@@ -9,6 +9,7 @@ use super::records::PlanRow;
 use super::settings::Settings;
 use super::text::Method;
 use crate::Finding;
+use crate::blocks::Blocks;
 use crate::radiance::gdibl::Gdibl;
 use crate::radiance::path::{Path, light_without_end};
 use crate::radiance::{Distant, RadianceFunction};
@@ -51,12 +52,14 @@ pub struct Watch<'a> {
     pub stage: &'a dyn Fn(Stage),
     /// Seconds since the run began; asked where a budget is given.
     pub seconds: &'a dyn Fn() -> f64,
+    /// Keeps what is finished of the nodes and of what lies between them. `None`: nothing is kept.
+    pub blocks: Option<&'a dyn Blocks>,
 }
 
 impl<'a> Watch<'a> {
     /// Looks at nothing.
     pub fn silent(cancel: &'a AtomicBool) -> Watch<'a> {
-        Watch { cancel, progress: &|_, _| {}, stage: &|_| {}, seconds: &|| 0.0 }
+        Watch { cancel, progress: &|_, _| {}, stage: &|_| {}, seconds: &|| 0.0, blocks: None }
     }
 }
 
@@ -89,12 +92,13 @@ pub struct Viewers {
     pub places: Vec<DVec3>,
 }
 
-/// Calls `work` with the radiance function of the method in force.
+/// Calls `work` with the radiance function of the method in force. What it takes long to find out first is kept in `blocks`.
 pub fn with_function<W: Work>(
     inputs: &Inputs,
     distant: Option<&Distant>,
     settings: &Settings,
     viewers: &Viewers,
+    blocks: Option<&dyn Blocks>,
     work: W,
 ) -> W::Output {
     let scene = &inputs.scene;
@@ -109,7 +113,7 @@ pub fn with_function<W: Work>(
         let own = settings.gdibl(inputs.captured, viewers.directions, viewers.coarsest);
         let mut function = Gdibl::sharing(&inputs.trees, scene, &inputs.probes, distant, own);
         if !inputs.probes.is_empty() {
-            function.choose_unseen(settings.quality.unseen, &viewers.places);
+            function.choose_unseen_by(settings.quality.unseen, &viewers.places, blocks);
         }
         let rows = without_sealed(plan::plan(scene, &function));
         work.run(&function, Decided { rows, findings: Vec::new() })

@@ -20,7 +20,9 @@ use super::probe::{PlacedProbe, Surroundings};
 use super::punctual::Punctual;
 use super::surface_light::SurfaceLight;
 use super::unseen::{Agreement, Compared, Unseen, UnseenChoice, curve_of};
-use super::{Audit, PathContext, Radiance, RadianceFunction, Seen, number_of_place};
+use super::{Audit, FOUND_TEXEL, PathContext, Radiance, RadianceFunction, Seen, number_of_place};
+use crate::bake::pass::Pass;
+use crate::blocks::{Blocks, PassKind};
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams, uniform_sphere};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Scattered, Surfaces, Trees, counts_before, search_limit};
@@ -223,6 +225,9 @@ pub struct Gdibl<'a> {
     lamps: Option<Lamps>,
 }
 
+/// Points in a row that are compared with paths together.
+const COMPARED_TOGETHER: usize = 16;
+
 /// Paths for where no probe counts.
 #[derive(Debug)]
 struct Tracer<'a> {
@@ -370,6 +375,11 @@ impl<'a> Gdibl<'a> {
     /// Chooses what is done where no probe counts. `places`: nodes, world metres; some of them are looked from. Deterministic; paths
     /// for a comparison are a 64th of [`GdiblSettings::directions`], and some thousands; more where these are too noisy.
     pub fn choose_unseen(&mut self, unseen: Unseen, places: &[DVec3]) -> &UnseenChoice {
+        self.choose_unseen_by(unseen, places, None)
+    }
+
+    /// The same, and what paths come to is kept in `blocks`.
+    pub fn choose_unseen_by(&mut self, unseen: Unseen, places: &[DVec3], blocks: Option<&dyn Blocks>) -> &UnseenChoice {
         self.tracer = None;
         self.lamps = None;
         let may_trace =
@@ -377,7 +387,7 @@ impl<'a> Gdibl<'a> {
         if let Some(environment) = self.environment.as_ref().filter(|_| may_trace) {
             self.lamps = Lamps::find(self.scene, environment, &self.frame, self.probes, &self.placed);
         }
-        let (choice, tracer) = self.weigh_unseen(unseen, places);
+        let (choice, tracer) = self.weigh_unseen(unseen, places, blocks);
         let is_known = choice.traced && choice.gain.iter().all(|gain| (1.0 / LAMP_GAIN..=LAMP_GAIN).contains(gain));
         if !is_known && self.lamps.take().is_some() {
             // What was found while lamps did not count must not be remembered.
@@ -388,7 +398,12 @@ impl<'a> Gdibl<'a> {
         &self.unseen
     }
 
-    fn weigh_unseen(&self, unseen: Unseen, places: &[DVec3]) -> (UnseenChoice, Option<Tracer<'a>>) {
+    fn weigh_unseen(
+        &self,
+        unseen: Unseen,
+        places: &[DVec3],
+        blocks: Option<&dyn Blocks>,
+    ) -> (UnseenChoice, Option<Tracer<'a>>) {
         let mut choice = UnseenChoice::fill("no environment geometry");
         let leave = |choice: UnseenChoice, why: &str| (UnseenChoice { why: why.into(), ..choice }, None);
         let Some(environment) = &self.environment else { return (choice, None) };
@@ -417,7 +432,8 @@ impl<'a> Gdibl<'a> {
         let usual = self.settings.directions / 64 / seen.len().max(1) as u64;
         let mut paths = usual.clamp(PATHS_PER_POINT[0], PATHS_PER_POINT[1]);
         let agreement = loop {
-            let agreement = Agreement::of(self.compare(&tracer, seen, paths as u32));
+            let agreement =
+                Agreement::of(self.compare(&tracer, seen, paths as u32, &Pass::of(blocks, PassKind::Shared)));
             paths *= 4;
             if paths > PATHS_PER_POINT[1] || agreement.is_none_or(|agreement| !agreement.is_drowned()) {
                 break agreement;
@@ -484,9 +500,10 @@ impl<'a> Gdibl<'a> {
     }
 
     /// The same points by paths, so many each.
-    fn compare(&self, tracer: &Tracer, seen: &[(Hit, Vec3)], paths: u32) -> Vec<Compared> {
+    fn compare(&self, tracer: &Tracer, seen: &[(Hit, Vec3)], paths: u32, pass: &Pass) -> Vec<Compared> {
         let environment = self.environment.as_ref().expect("asked only with one");
-        let point = |(number, (hit, shown)): (usize, &(Hit, Vec3))| {
+        let trace = |number: usize| {
+            let (hit, _) = &seen[number];
             let node = streams::AGREEMENT | (number as u64 + 1);
             let mut context = PathContext::new(Stream::new(Sampler::Sobol, self.settings.seed, node, 0));
             let triangle = tracer.numbers.as_ref().map_or(hit.triangle, |numbers| numbers[0][hit.triangle as usize]);
@@ -495,11 +512,23 @@ impl<'a> Gdibl<'a> {
                 context.sample = sample;
                 traced += tracer.path.light(-hit.normal, First::of(Hit { triangle, ..*hit }), &mut context);
             }
+            (traced / paths as f32).to_array()
+        };
+        let block = |number: usize| {
+            let first = number * COMPARED_TOGETHER;
+            let numbers = first..seen.len().min(first + COMPARED_TOGETHER);
+            let fits = |traced: &Vec<[f32; 3]>| traced.len() == numbers.len();
+            let traced = pass.block(number, fits, || Ok(numbers.clone().map(trace).collect()));
+            traced.ok().flatten().expect("every run compares, and nothing interrupts it")
+        };
+        let blocks: Vec<Vec<[f32; 3]>> =
+            (0..seen.len().div_ceil(COMPARED_TOGETHER)).into_par_iter().map(block).collect();
+        let point = |((hit, shown), traced): (&(Hit, Vec3), [f32; 3])| {
             let place = (hit.position / self.frame.half.max(Vec3::splat(f32::MIN_POSITIVE)) + 1.0) / 2.0;
             let order = (environment.mesh(self.scene, hit.triangle).material, curve_of(place));
-            Compared { order, shown: *shown, traced: traced / paths as f32 }
+            Compared { order, shown: *shown, traced: traced.into() }
         };
-        seen.par_iter().enumerate().map(point).collect()
+        seen.iter().zip(blocks.into_iter().flatten()).map(point).collect()
     }
 
     /// Triangles whose light is remembered.
@@ -652,7 +681,7 @@ impl<'a> Gdibl<'a> {
             coarsest: self.coarsest,
         };
         let light = self.surface_light.as_ref();
-        let spot = light.and_then(|light| light.at(hit, &lookers, &self.all, &mut context.rays));
+        let spot = light.and_then(|light| light.at(hit, &lookers, &self.all, context));
         let candidates = spot.map_or(&self.all[..], |spot| spot.candidates());
         let find =
             |place: &Hit, context: &mut PathContext| self.blended_by(candidates, &self.all, place, viewer, context);
@@ -835,15 +864,18 @@ impl<'a> Gdibl<'a> {
             };
         }
         let distance = if walk.texels == Texels::All && walk.step == 0 { hit.t } else { f32::INFINITY };
-        let mut rays = 0;
-        let fill = |texel: Texel| std::array::from_fn(|part| self.mean_effect(hit, texel, part as u32, &mut rays));
-        let effect = cache.lookup(environment, hit, distance, context.replicate, fill);
-        context.rays += rays;
-        effect
+        let replicate = context.replicate;
+        let fill = |texel: Texel| {
+            let side = u64::from(hit.triangle) << 1 | u64::from(hit.back);
+            let id = FOUND_TEXEL | side << 16 | u64::from(texel.index) << 1 | u64::from(texel.is_near);
+            context
+                .finding(id, |context| std::array::from_fn(|part| self.mean_effect(hit, texel, part as u32, context)))
+        };
+        cache.lookup(environment, hit, distance, replicate, fill)
     }
 
     /// The mean effect of one part of a texel, around `hit`: of walks from all over it.
-    fn mean_effect(&self, hit: &Hit, texel: Texel, part: u32, rays: &mut u64) -> Vec3 {
+    fn mean_effect(&self, hit: &Hit, texel: Texel, part: u32, asks: &mut PathContext) -> Vec3 {
         let environment = self.environment.as_ref().expect("the environment was hit");
         let texels = if texel.is_near { streams::NEAR_TEXELS } else { streams::TEXELS };
         let node = texels | u64::from(hit.triangle) << 1 | u64::from(hit.back);
@@ -859,7 +891,8 @@ impl<'a> Gdibl<'a> {
             let start = environment.point(hit.triangle, texel.place(context.point(0)), hit.back);
             sum += self.effect_of_objects(&start, walk, &mut context).as_dvec3();
         }
-        *rays += context.rays;
+        asks.rays += context.rays;
+        asks.found.append(&mut context.found);
         (sum / f64::from(texel.walks)).as_vec3()
     }
 

@@ -15,6 +15,7 @@ pub mod unseen;
 
 use glam::Vec3;
 
+use crate::blocks::Found;
 use crate::sampling::Stream;
 use crate::trace::{Frame, Level};
 use candidates::Scratch;
@@ -117,6 +118,11 @@ pub(crate) fn number_of_place(place: Vec3) -> u32 {
     (place.to_array().map(f32::to_bits).into_iter().fold(1, mix) >> 32) as u32
 }
 
+/// Kinds of what is remembered, in the highest bits of their numbers.
+pub(crate) const FOUND_PATCH: u64 = 0;
+pub(crate) const FOUND_KNOT: u64 = 1 << 62;
+pub(crate) const FOUND_TEXEL: u64 = 2 << 62;
+
 /// What one worker carries from ray to ray: random points, scratch memory, counts.
 #[derive(Debug)]
 pub struct PathContext {
@@ -126,8 +132,10 @@ pub struct PathContext {
     pub sample: u32,
     /// Replicate of a node at hand; `None`: there are no others to be independent of.
     pub replicate: Option<u32>,
-    /// Every ray traced, lines of sight included.
+    /// Every ray traced, lines of sight included, but those of `found`.
     pub rays: u64,
+    /// What was found on the way and is remembered for all who ask later, each with the rays that it took: no other context has it.
+    pub found: Vec<Found>,
     /// Trace units to what the ray at hand met first, infinite where it escaped; `None` until it is known.
     pub reach: Option<f32>,
     scratch: Scratch,
@@ -136,7 +144,32 @@ pub struct PathContext {
 impl PathContext {
     /// For the given stream of points.
     pub fn new(stream: Stream) -> Self {
-        PathContext { stream, sample: 0, replicate: None, rays: 0, reach: None, scratch: Default::default() }
+        PathContext {
+            stream,
+            sample: 0,
+            replicate: None,
+            rays: 0,
+            found: Vec::new(),
+            reach: None,
+            scratch: Default::default(),
+        }
+    }
+
+    /// Every ray traced.
+    pub fn all_rays(&self) -> u64 {
+        self.rays + self.found.iter().map(|found| u64::from(found.rays)).sum::<u64>()
+    }
+
+    /// What `work` traces is that of something that is remembered, and not of who asks. Without rays it costs nothing.
+    pub(crate) fn finding<T>(&mut self, id: u64, work: impl FnOnce(&mut PathContext) -> T) -> T {
+        let before = self.rays;
+        let result = work(self);
+        let rays = (self.rays - before) as u32;
+        self.rays = before;
+        if rays > 0 {
+            self.found.push(Found { id, rays });
+        }
+        result
     }
 
     /// Random numbers `pair` of the sample at hand.

@@ -17,7 +17,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::candidates::{Candidate, Lookers, Place};
-use super::{PathContext, Radiance};
+use super::{FOUND_KNOT, FOUND_PATCH, PathContext, Radiance};
 use crate::trace::{Hit, Surfaces};
 
 /// Rays per patch that pay for its list, which costs as much as some tens of rays. Retuned by `tools/bake_bench`.
@@ -81,6 +81,8 @@ const GUESSED: u64 = 1 << (3 * DIGITS + 8);
 #[derive(Debug, Clone, Copy)]
 pub struct Spot<'a> {
     patch: &'a Patch,
+    /// Its number.
+    id: u64,
     corner: PatchCorners,
     /// Barycentric, in the patch.
     inner: Vec2,
@@ -123,20 +125,22 @@ impl SurfaceLight {
         self.cuts.iter().filter(|cuts| **cuts > 0).count()
     }
 
-    /// The patch that holds `hit`; `None` on a triangle that has none. Counts what it traces in `rays`.
-    pub fn at(&self, hit: &Hit, lookers: &Lookers, all: &[Candidate], rays: &mut u64) -> Option<Spot<'_>> {
+    /// The patch that holds `hit`; `None` on a triangle that has none. Counts what it traces in the context.
+    pub fn at(&self, hit: &Hit, lookers: &Lookers, all: &[Candidate], context: &mut PathContext) -> Option<Spot<'_>> {
         let cuts = u32::from(self.cuts[hit.triangle as usize]);
         if cuts == 0 {
             return None;
         }
         let (corner, inner) = PatchCorners::around(hit.barycentric, cuts);
         let number = self.first[hit.triangle as usize] + corner.number();
+        let id = u64::from(number) << 1 | u64::from(hit.back);
         let patch = self.patches[number as usize][usize::from(hit.back)].get_or_init(|| {
             let corners = [Vec2::ZERO, Vec2::X, Vec2::Y]
                 .map(|inner| lookers.environment.point(hit.triangle, corner.place(inner), hit.back).position);
-            self.find(lookers, all, &Place { corners: &corners, normal: hit.normal, triangle: hit.triangle }, rays)
+            let place = Place { corners: &corners, normal: hit.normal, triangle: hit.triangle };
+            context.finding(FOUND_PATCH | id, |context| self.find(lookers, all, &place, &mut context.rays))
         });
-        Some(Spot { patch, corner, inner })
+        Some(Spot { patch, id, corner, inner })
     }
 
     fn find(&self, lookers: &Lookers, all: &[Candidate], place: &Place, rays: &mut u64) -> Patch {
@@ -152,17 +156,22 @@ impl SurfaceLight {
 
 impl Knot {
     /// What is known there, or else what `find` finds; that counts what it traces in the context, once for each knot, whoever
-    /// else was about to find the same.
-    fn get_or_find(&self, context: &mut PathContext, find: impl FnOnce(&mut PathContext) -> Radiance) -> Radiance {
+    /// else was about to find the same. `id` is its number.
+    fn get_or_find(
+        &self,
+        id: u64,
+        context: &mut PathContext,
+        find: impl FnOnce(&mut PathContext) -> Radiance,
+    ) -> Radiance {
         // Relaxed: the word is all there is.
         let known = self.0.load(Ordering::Relaxed);
         if known != 0 {
             return unpack(known);
         }
-        let before = context.rays;
-        let found = pack(find(context));
+        let before = context.found.len();
+        let found = pack(context.finding(id, find));
         if self.0.swap(found, Ordering::Relaxed) != 0 {
-            context.rays = before;
+            context.found.truncate(before);
         }
         unpack(found)
     }
@@ -217,7 +226,9 @@ impl<'a> Spot<'a> {
         }
         let around = knots_around(self.inner, *cells);
         let found = around.map(|(i, j, _)| {
-            knots[knot_number(i, j)].get_or_find(context, |context| {
+            let number = knot_number(i, j);
+            let id = FOUND_KNOT | self.id << 24 | number as u64;
+            knots[number].get_or_find(id, context, |context| {
                 let place = self.corner.place(place(i, j, *cells));
                 find(&environment.point(hit.triangle, place, hit.back), context)
             })
@@ -321,6 +332,7 @@ fn knots_around(barycentric: Vec2, cells: u32) -> [(u32, u32, f32); 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::blocks::Found;
     use crate::sampling::{Sampler, Stream};
 
     #[test]
@@ -349,17 +361,18 @@ mod tests {
         let (mut first, mut second) = (context(), context());
         let knot = Knot::default();
         let light = Radiance::covered(Vec3::new(1.0, 0.5, 0.25));
-        let found = knot.get_or_find(&mut first, |first| {
+        let found = knot.get_or_find(5, &mut first, |first| {
             // Another is faster.
-            knot.get_or_find(&mut second, |second| {
+            knot.get_or_find(5, &mut second, |second| {
                 second.rays += 3;
                 light
             });
             first.rays += 3;
             light
         });
-        assert_eq!((found, first.rays, second.rays), (light, 0, 3));
-        assert_eq!(knot.get_or_find(&mut first, |_| unreachable!("it is known")), light);
+        assert_eq!((found, first.all_rays(), second.all_rays()), (light, 0, 3));
+        assert_eq!(second.found, [Found { id: 5, rays: 3 }]);
+        assert_eq!(knot.get_or_find(5, &mut first, |_| unreachable!("it is known")), light);
     }
 
     #[test]

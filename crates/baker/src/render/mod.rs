@@ -140,9 +140,9 @@ impl<F: RadianceFunction> Renderer<'_, F> {
             sum += light.value.as_dvec3();
             covered += f64::from(light.coverage);
         }
-        (self.control.progress)(1, context.rays);
+        (self.control.progress)(1, context.all_rays());
         let samples = f64::from(self.settings.samples);
-        Ok(Pixel { mean: (sum / samples).as_vec3(), uncovered: samples - covered, rays: context.rays })
+        Ok(Pixel { mean: (sum / samples).as_vec3(), uncovered: samples - covered, rays: context.all_rays() })
     }
 
     /// Random numbers of a pixel; anew behind every mirror, because radiance functions count theirs from the first hit.

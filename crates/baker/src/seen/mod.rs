@@ -114,7 +114,12 @@ pub fn hold_out(
         traced.fetch_add(rays, Ordering::Relaxed);
         (control.progress)(places, rays);
     };
-    let truth = irradiance_at(&places, function, &gather, &Control { cancel: control.cancel, progress: &count })?;
+    let truth = irradiance_at(
+        &places,
+        function,
+        &gather,
+        &Control { cancel: control.cancel, progress: &count, blocks: control.blocks },
+    )?;
     let baked = bake_at(&places, samples / COEFFICIENTS)?;
     let rays = rays + traced.into_inner() + baked.rays;
     Ok(Some(HeldOut { places, in_the_air, truth, baked, rays }))

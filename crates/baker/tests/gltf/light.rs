@@ -110,7 +110,7 @@ fn grey(albedo: f64, emission: f64) -> Value {
 }
 
 fn control<T>(work: impl FnOnce(&Control) -> T) -> T {
-    work(&Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} })
+    work(&Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None })
 }
 
 fn irradiance_by(function: &impl RadianceFunction) -> [f64; 3] {

@@ -75,7 +75,7 @@ fn what_is_said_is_what_is_measured_at_other_places() {
     };
     let solid = |p: DVec3| p.x.abs() < 0.1 && p.y < 0.7 && p.z > -0.6;
     let places: Vec<SurfacePlace> = (0..4000).map(place).filter(|place| !solid(place.position)).collect();
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let gather = GatherSettings { samples: 2048, seed: 5, ..GatherSettings::default() };
     let truth = irradiance_at(&places, &function, &gather, &control).expect("nobody interrupts");
     let size = |light: Vec3| f64::from(light.length()) / 3f64.sqrt();

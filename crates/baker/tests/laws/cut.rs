@@ -26,7 +26,7 @@ fn sparse() -> Volume {
     let (scene, probes) = two_rooms(0.01);
     let grid = Grid { min: [-2.7, -1.25, -1.75], max: [2.8, 1.25, 1.75], counts: [33, 17, 25] };
     let settings = BakeSettings { samples: 256, ..BakeSettings::default() };
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let function = gdibl(&scene, &probes, None);
     let (nodes, baked, record) = bake_sparse(&grid, 0.05, &function, &settings, &control).expect("nobody interrupts");
     assert!(matches!(nodes, Nodes::Sparse(_)), "{record:?}");

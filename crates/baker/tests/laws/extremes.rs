@@ -228,7 +228,7 @@ fn error_bar_covers_light_of_three_bounces_in_a_probe() {
     let two = Path::new(&scene, None, PathSettings { bounces: Some(2), ..PathSettings::default() });
     assert!(bake_points(&two, &points, &SMALL).sh.iter().all(|v| *v == 0.0), "no light by two bounces");
     let path = Path::new(&scene, None, PathSettings::default());
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let position = DVec3::new(7.4, 1.5, 1.2);
     let settings = CaptureSettings { width: 32, samples: 64, ..CaptureSettings::default() };
     let image = capture(&path, position, 0, &settings, &control).expect("nobody interrupts").image;

@@ -14,7 +14,7 @@ use std::sync::atomic::AtomicBool;
 use crate::level::*;
 
 fn gather(function: &impl RadianceFunction, places: &[SurfacePlace], settings: &GatherSettings) -> Vec<Gathered> {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let found = irradiance_at(places, function, settings, &control).expect("nobody interrupts");
     assert_eq!(found.len(), places.len());
     found
@@ -139,7 +139,7 @@ fn place_that_nothing_has_seen_says_so() {
 fn cancelled_gathering_is_interrupted() {
     let scene = Scene::default();
     let sky = distant(panorama(16, |_| [1.0; 3]));
-    let control = Control { cancel: &AtomicBool::new(true), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(true), progress: &|_, _| {}, blocks: None };
     let settings = GatherSettings { samples: 1 << 31, ..GatherSettings::default() };
     let found = irradiance_at(&around(DVec3::ZERO, 1), &gdibl(&scene, &[], Some(&sky)), &settings, &control);
     assert_eq!(found, Err(Interrupted));

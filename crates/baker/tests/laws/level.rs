@@ -164,7 +164,8 @@ pub fn gdibl<'a>(scene: &'a Scene, probes: &'a [Probe], distant: Option<&'a Dist
 pub fn bake_points(function: &impl RadianceFunction, points: &[DVec3], settings: &BakeSettings) -> Baked {
     let nodes = Nodes::Points(points.to_vec());
     let cancel = AtomicBool::new(false);
-    bake(&nodes, function, settings, &Control { cancel: &cancel, progress: &|_, _| {} }).expect("nobody interrupts")
+    bake(&nodes, function, settings, &Control { cancel: &cancel, progress: &|_, _| {}, blocks: None })
+        .expect("nobody interrupts")
 }
 
 /// Largest relative error of E = πL over nodes and 100 normals.
@@ -195,7 +196,7 @@ pub fn white_probes(radiance: [f32; 3]) -> Vec<Probe> {
 /// What an engine would load of a bake: packed in single floats and parsed again.
 pub fn volume_of(nodes: &Nodes, function: &Gdibl, settings: &BakeSettings) -> Volume {
     let cancel = AtomicBool::new(false);
-    let control = Control { cancel: &cancel, progress: &|_, _| {} };
+    let control = Control { cancel: &cancel, progress: &|_, _| {}, blocks: None };
     let baked = bake(nodes, function, settings, &control).expect("nobody interrupts");
     let bytes =
         pack(nodes, &baked, Records::default(), PackSettings { precision: Precision::F32, ..PackSettings::default() })

@@ -16,7 +16,7 @@ use std::sync::atomic::AtomicBool;
 use crate::level::*;
 
 fn quiet<T>(work: impl FnOnce(&Control) -> Result<T, Interrupted>) -> T {
-    work(&Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} }).expect("nobody interrupts")
+    work(&Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None }).expect("nobody interrupts")
 }
 
 /// Grey, and glowing.

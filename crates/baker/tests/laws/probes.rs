@@ -20,7 +20,7 @@ fn path(scene: &Scene) -> Path<'_> {
 
 fn suggest(scene: &Scene, existing: &[DVec3], gain: f64) -> Placement {
     let bounds = scene.bounds(|_| true).expect("triangles");
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let settings = PlaceSettings { most: 8, gain };
     place_probes(&path(scene), bounds, existing, &settings, &control).expect("nobody interrupts")
 }
@@ -126,7 +126,7 @@ fn placing_shows_progress_and_stops_when_asked() {
             cancel.store(true, Relaxed);
         }
     };
-    let control = Control { cancel: &cancel, progress: &progress };
+    let control = Control { cancel: &cancel, progress: &progress, blocks: None };
     let placed = place_probes(&path(&scene), bounds, &[], &PlaceSettings::default(), &control);
     assert_eq!(placed, Err(Interrupted));
     assert!(after.load(Relaxed) <= rayon::current_num_threads() as u64, "{after:?}");
@@ -209,7 +209,7 @@ fn picture_shows_the_signal_colour_where_nothing_is_seen_and_only_there() {
     let picture = |x: f64| {
         let camera = Camera::Panorama { position: DVec3::new(x, 0.4, 0.6) };
         let settings = RenderSettings { width: 32, height: 16, samples: 1, ..RenderSettings::default() };
-        let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+        let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
         render(&paint, None, &camera, &settings, &control).unwrap().image.pixels
     };
     assert!(picture(0.5).iter().all(|pixel| Vec3::from(*pixel) == CoveragePaint::UNSEEN));

@@ -38,7 +38,7 @@ fn picture_by(
     camera: &Camera,
     settings: &RenderSettings,
 ) -> Picture {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let picture = render(function, volume, camera, settings, &control).expect("nobody interrupts");
     assert_eq!(picture.image.pixels.len(), settings.width * settings.height);
     picture
@@ -396,7 +396,7 @@ fn light_on_objects_is_found_where_it_is_bright_and_counted_once() {
 fn cancelled_picture_is_interrupted() {
     let scene = room_with_cube();
     let probes = [probe(DVec3::new(1.0, 1.5, 2.0), 16, |_| [1.0; 3])];
-    let control = Control { cancel: &AtomicBool::new(true), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(true), progress: &|_, _| {}, blocks: None };
     let settings = RenderSettings { samples: 1 << 31, ..SETTINGS };
     let camera = look(DVec3::new(2.0, 1.0, 2.5), DVec3::ZERO, 70.0);
     assert_eq!(render(&gdibl(&scene, &probes, None), None, &camera, &settings, &control), Err(Interrupted));

@@ -26,13 +26,13 @@ const SETTINGS: BakeSettings = BakeSettings {
 };
 
 fn sparse(grid: Grid, tolerance: f64, function: &impl RadianceFunction) -> (Nodes, Baked, SparseRecord) {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let (nodes, baked, record) = bake_sparse(&grid, tolerance, function, &SETTINGS, &control).expect("not interrupted");
     (nodes, baked, record.expect("the grid has coarser cells"))
 }
 
 fn dense(grid: Grid, function: &impl RadianceFunction) -> Baked {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     bake(&Nodes::Grid(grid), function, &SETTINGS, &control).expect("not interrupted")
 }
 

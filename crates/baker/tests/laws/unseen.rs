@@ -41,7 +41,7 @@ fn room_with_screen() -> Scene {
 fn captured(scene: &Scene) -> Vec<Probe> {
     let path = Path::new(scene, None, PathSettings::default());
     let cancel = AtomicBool::new(false);
-    let control = Control { cancel: &cancel, progress: &|_, _| {} };
+    let control = Control { cancel: &cancel, progress: &|_, _| {}, blocks: None };
     let settings = CaptureSettings { width: 96, samples: 64, ..CaptureSettings::default() };
     let capture = |(index, &position): (usize, &DVec3)| {
         let captured = capture(&path, position, index as u64, &settings, &control).expect("nobody interrupts");

@@ -15,7 +15,7 @@ use std::sync::atomic::AtomicBool;
 use crate::level::{add, box_of, distant, gdibl, panorama, probe, single, solid_of};
 
 pub fn bake_grid(grid: Grid, function: &impl RadianceFunction) -> (Baked, Volume) {
-    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {} };
+    let control = Control { cancel: &AtomicBool::new(false), progress: &|_, _| {}, blocks: None };
     let nodes = Nodes::Grid(grid);
     let settings = BakeSettings { samples: 256, ..BakeSettings::default() };
     let baked = bake(&nodes, function, &settings, &control).expect("nobody interrupts");

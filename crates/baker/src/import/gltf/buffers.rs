@@ -102,7 +102,7 @@ impl<'a> Buffers<'a> {
 
     fn load(&self, index: usize, buffer: &json::Buffer) -> Result<Cow<'a, [u8]>> {
         match (&buffer.uri, self.document.binary) {
-            (Some(uri), _) => Ok(Cow::Owned(uri::load(uri, self.document.path, &format!("buffer {index}"))?)),
+            (Some(uri), _) => Ok(Cow::Owned(uri::load(uri, self.document, &format!("buffer {index}"))?)),
             (None, Some(binary)) if index == 0 => Ok(Cow::Borrowed(binary)),
             (None, _) => Err(self.document.invalid(format!(
                 "buffer {index}: it has no uri{}",

@@ -22,6 +22,7 @@ use super::container::Container;
 use super::findings::Findings;
 use super::properties;
 use super::text;
+use crate::import::files::Files;
 use crate::{Error, Result};
 
 /// Extensions that a file may *require*: those that are read, and those whose absence does not change where
@@ -66,6 +67,8 @@ const KNOWN_EXTENSIONS: &[&str] = &[
 pub(super) struct Document<'a> {
     /// The level, for messages and for the folder of its files.
     pub path: &'a Path,
+    /// Gives the bytes of files that the level names.
+    pub files: &'a dyn Files,
     /// The GLB's binary chunk.
     pub binary: Option<&'a [u8]>,
     pub accessors: Vec<json::Accessor>,
@@ -159,7 +162,12 @@ fn one() -> f32 {
 
 impl<'a> Document<'a> {
     /// Reads the JSON, checks version and required extensions.
-    pub fn read(container: &Container<'a>, path: &'a Path, findings: &mut Findings) -> Result<Self> {
+    pub fn read(
+        files: &'a dyn Files,
+        container: &Container<'a>,
+        path: &'a Path,
+        findings: &mut Findings,
+    ) -> Result<Self> {
         let invalid = |message: String| Error::invalid(path, message);
         let mut json: Value =
             text::parse(container.json, findings).map_err(|e| invalid(format!("JSON: {e}; the file is damaged")))?;
@@ -212,6 +220,7 @@ impl<'a> Document<'a> {
         }
         Ok(Document {
             path,
+            files,
             binary: container.binary,
             accessors: take(&mut root, "accessors", path)?,
             buffers: take(&mut root, "buffers", path)?,

@@ -41,7 +41,8 @@ use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
 
-use crate::scene::{Mesh, Metals, Role, Scene};
+use super::files::{Disk, Files};
+use crate::scene::{Mesh, Metals, ProbeMarker, Role, Scene};
 use crate::{Error, Result};
 use buffers::Buffers;
 use document::Document;
@@ -105,27 +106,46 @@ pub enum TextureNeeds {
 /// # Ok::<(), gdibl_baker::Error>(())
 /// ```
 pub fn read_level(path: &Path, options: &GltfOptions) -> Result<Scene> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
-    parse_level(&bytes, path, options)
+    read_level_from(&Disk, path, options)
 }
 
-/// The files beside the level at `path` that it names and that are there, in its order: with the level itself, all that its light
-/// depends on.
-pub fn files_of(path: &Path) -> Result<Vec<PathBuf>> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+/// The same with the bytes that `files` gives.
+pub fn read_level_from(files: &dyn Files, path: &Path, options: &GltfOptions) -> Result<Scene> {
+    let bytes = files.read(path).map_err(|e| Error::io(path, e))?;
+    parse(files, &bytes, path, options)
+}
+
+/// What a level names beside itself.
+#[derive(Debug, Clone)]
+pub struct Named {
+    /// The files that it refers to and that are there, in its order: with the level itself, all that its light depends on.
+    pub files: Vec<PathBuf>,
+    /// The probes that its nodes mark.
+    pub probe_markers: Vec<ProbeMarker>,
+}
+
+/// What the level at `path` names.
+pub fn named_by(files: &dyn Files, path: &Path) -> Result<Named> {
+    let bytes = files.read(path).map_err(|e| Error::io(path, e))?;
     let mut findings = Findings::default();
-    let document = Document::read(&container::split(&bytes, path, &mut findings)?, path, &mut findings)?;
+    let document = Document::read(files, &container::split(&bytes, path, &mut findings)?, path, &mut findings)?;
+    let nodes = hierarchy::place_nodes(&document, None, &mut findings)?;
+    let (probe_markers, _) = markers::read(&document, &nodes, &mut findings)?;
     let buffers = document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
     let images = document.images.iter().filter_map(|image| image.uri.as_deref());
-    let files = buffers.chain(images).filter_map(|uri| uri::file(uri, path));
-    Ok(files.filter(|file| file.is_file()).collect())
+    let named = buffers.chain(images).filter_map(|uri| uri::file(uri, path));
+    Ok(Named { files: named.filter(|file| file.is_file()).collect(), probe_markers })
 }
 
 /// Reads a level from its bytes. `path` names it in messages, and its folder is where files are looked for.
 pub fn parse_level(bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<Scene> {
+    parse(&Disk, bytes, path, options)
+}
+
+fn parse(files: &dyn Files, bytes: &[u8], path: &Path, options: &GltfOptions) -> Result<Scene> {
     let mut findings = Findings::default();
     let container = container::split(bytes, path, &mut findings)?;
-    let document = Document::read(&container, path, &mut findings)?;
+    let document = Document::read(files, &container, path, &mut findings)?;
     let buffers = Buffers::new(&document);
 
     let nodes = hierarchy::place_nodes(&document, options.scene, &mut findings)?;

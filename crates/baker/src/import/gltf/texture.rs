@@ -333,7 +333,7 @@ fn read_image(buffers: &Buffers, index: usize) -> Result<Vec<u8>> {
     let image = &buffers.document.images[index];
     let label = image_label(buffers, index);
     match (&image.uri, image.buffer_view) {
-        (Some(uri), _) => uri::load(uri, buffers.document.path, &label),
+        (Some(uri), _) => uri::load(uri, buffers.document, &label),
         (None, Some(view)) => Ok(buffers.view(view.value(), &label)?.bytes.to_vec()),
         (None, None) => Err(buffers.document.invalid(format!("{label}: neither uri nor bufferView"))),
     }

@@ -2,12 +2,14 @@
 
 use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
 use base64::Engine;
 use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use percent_encoding::percent_decode_str;
 
+use super::document::Document;
 use crate::{Error, Result};
 
 /// Exporters disagree on `=` at the end.
@@ -27,8 +29,9 @@ pub(super) fn file(uri: &str, level: &Path) -> Option<PathBuf> {
     Some(level.parent().unwrap_or(Path::new("")).join(relative))
 }
 
-/// Reads what `uri` names. `level` is the level's path; `place` says who asks ("buffer 0").
-pub(super) fn load(uri: &str, level: &Path, place: &str) -> Result<Vec<u8>> {
+/// Reads what `uri` of a level names; `place` says who asks ("buffer 0").
+pub(super) fn load(uri: &str, document: &Document, place: &str) -> Result<Vec<u8>> {
+    let level = document.path;
     if is_data(uri) {
         return decode_data(&uri[5..]).map_err(|found| Error::invalid(level, format!("{place}: its data URI {found}")));
     }
@@ -43,7 +46,10 @@ pub(super) fn load(uri: &str, level: &Path, place: &str) -> Result<Vec<u8>> {
     })?;
     let file = level.parent().unwrap_or(Path::new("")).join(relative);
     match std::fs::metadata(&file) {
-        Ok(metadata) if metadata.is_file() => std::fs::read(&file).map_err(|e| Error::io(&file, e)),
+        Ok(metadata) if metadata.is_file() => {
+            let bytes = document.files.read(&file).map_err(|e| Error::io(&file, e))?;
+            Ok(Arc::try_unwrap(bytes).unwrap_or_else(|shared| shared.to_vec()))
+        }
         Ok(_) => Err(Error::invalid(level, format!("{place}: \"{}\" is not a file", shorten(uri)))),
         Err(_) => Err(Error::invalid(
             level,

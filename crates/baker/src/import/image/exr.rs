@@ -5,8 +5,7 @@
 //! pixel came exactly once.
 
 use std::collections::HashSet;
-use std::fs::File;
-use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::io::{BufRead, Cursor, ErrorKind, Read};
 use std::path::Path;
 
 use ::exr::block::UncompressedBlock;
@@ -38,12 +37,12 @@ const BATCH_BYTES: usize = 32 << 20;
 const MOST_BLACK: u64 = 16;
 
 /// Decodes the picture: the layer that is asked for, or the one that [`layers`] takes.
-pub(super) fn decode(path: &Path, file: &File, length: u64, layer: Option<&str>) -> Result<Decoded> {
-    guard(path, || decode_unguarded(path, file, length, layer))
+pub(super) fn decode(path: &Path, file: &[u8], layer: Option<&str>) -> Result<Decoded> {
+    guard(path, || decode_unguarded(path, file, layer))
 }
 
-fn decode_unguarded(path: &Path, file: &File, length: u64, layer: Option<&str>) -> Result<Decoded> {
-    let metadata = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|error| {
+fn decode_unguarded(path: &Path, file: &[u8], layer: Option<&str>) -> Result<Decoded> {
+    let metadata = MetaData::read_from_buffered(Cursor::new(file), false).map_err(|error| {
         // A compression that the crate does not know looks to it like one that is missing.
         unknown_compression(path, file).unwrap_or_else(|| convert_error(path, "its header", error))
     })?;
@@ -52,7 +51,7 @@ fn decode_unguarded(path: &Path, file: &File, length: u64, layer: Option<&str>) 
     let part = channels.part;
     let beside = channels.distance.map(|(part, _)| part).filter(|beside| *beside != part);
     for part in std::iter::once(part).chain(beside) {
-        check_claims(path, &metadata, part, length)?;
+        check_claims(path, &metadata, part, file.len() as u64)?;
         refuse_compression(path, metadata.headers[part].compression)?;
     }
     let header = &metadata.headers[part];
@@ -120,10 +119,10 @@ fn refuse_compression(path: &Path, compression: Compression) -> Result<()> {
 const MAX_HEADER_BYTES: u64 = 16 << 20;
 
 /// The refusal of a compression that the crate does not know, from any part of a header that it could not read.
-fn unknown_compression(path: &Path, mut file: &File) -> Option<Error> {
-    file.seek(SeekFrom::Start(8)).ok()?; // magic number and version
-    let mut reader = BufReader::new(file.take(MAX_HEADER_BYTES));
-    let text = |reader: &mut BufReader<_>| -> Option<Vec<u8>> {
+fn unknown_compression(path: &Path, file: &[u8]) -> Option<Error> {
+    // Behind the magic number and the version.
+    let mut reader = file.get(8..)?.take(MAX_HEADER_BYTES);
+    let text = |reader: &mut std::io::Take<&[u8]>| -> Option<Vec<u8>> {
         let mut text = Vec::new();
         reader.take(256).read_until(0, &mut text).ok()?;
         (text.pop() == Some(0)).then_some(text)
@@ -251,15 +250,14 @@ impl Window {
 /// Reads channels of one part into the image: R, G, B and the distance, as far as they are in this part.
 fn read_pixels(
     path: &Path,
-    mut file: &File,
+    file: &[u8],
     part: usize,
     channels: &[Option<usize>; 4],
     window: &Window,
     image: &mut Image,
 ) -> Result<()> {
-    file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?;
     let in_pixels = |e| convert_error(path, "its pixels", e);
-    let reader = ::exr::block::read(BufReader::new(file), false).map_err(|e| convert_error(path, "its header", e))?;
+    let reader = ::exr::block::read(Cursor::new(file), false).map_err(|e| convert_error(path, "its header", e))?;
     let mut chunks = reader
         .filter_chunks(false, |_, _, block| block.layer == part && block.level == Vec2(0, 0))
         .map_err(|e| convert_error(path, "its table of blocks", e))?;

@@ -4,8 +4,7 @@
 //! once more; dividing by all of them gives radiance back. PRIMARIES and the format XYZE name the colour space
 //! ([`space`]).
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, ErrorKind, Read};
+use std::io::{BufRead, Cursor, ErrorKind, Read};
 use std::path::Path;
 
 use ::image::codecs::hdr::HdrDecoder;
@@ -35,13 +34,13 @@ struct Header {
 }
 
 /// Decodes the file.
-pub(super) fn decode(path: &Path, file: &File, length: u64) -> Result<Decoded> {
-    let mut reader = BufReader::new(file);
+pub(super) fn decode(path: &Path, file: &[u8]) -> Result<Decoded> {
+    let mut reader = file;
     let header = read_header(path, &mut reader)?;
     let Header { width, height, exposure, .. } = header;
     check_size(path, width, height)?;
     // The shortest scan line is one pixel and repetitions: 4 bytes.
-    let available = length.saturating_sub(header.length);
+    let available = (file.len() as u64).saturating_sub(header.length);
     if (height as u64) * 4 > available {
         return Err(Error::invalid(
             path,

@@ -33,8 +33,10 @@ mod repair;
 mod space;
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::Read;
 use std::path::Path;
+
+use super::files::{Disk, Files};
 
 use self::decoded::Decoded;
 pub use self::decoded::MAX_PIXELS;
@@ -90,22 +92,30 @@ impl Imported {
 
 /// Reads an EXR or `.hdr` file.
 pub fn read_image(path: &Path, options: &ReadOptions) -> Result<Imported> {
-    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, e))?;
-    if !metadata.is_file() {
+    read_image_from(&Disk, path, options)
+}
+
+/// The same with the bytes that `files` gives.
+pub fn read_image_from(files: &dyn Files, path: &Path, options: &ReadOptions) -> Result<Imported> {
+    // A file need not lie on the disk.
+    if let Ok(metadata) = std::fs::metadata(path)
+        && !metadata.is_file()
+    {
         let found = if metadata.is_dir() { "a folder" } else { "not a regular file" };
         return Err(Error::invalid(path, format!("this is {found}; expected an EXR or HDR image file")));
     }
-    let mut file = File::open(path).map_err(|e| Error::io(path, e))?;
-    let mut start = Vec::new();
-    (&mut file).take(64).read_to_end(&mut start).map_err(|e| Error::io(path, e))?;
-    file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?;
+    let bytes = files.read(path).map_err(|e| Error::io(path, e))?;
+    parse_image(&bytes, path, options)
+}
 
-    let mut decoded = if start.starts_with(&EXR_MAGIC) {
-        exr::decode(path, &file, metadata.len(), options.layer.as_deref())?
-    } else if start.starts_with(HDR_MAGIC) {
-        hdr::decode(path, &file, metadata.len())?
+/// Reads an image from its bytes. `path` names it in messages.
+pub fn parse_image(bytes: &[u8], path: &Path, options: &ReadOptions) -> Result<Imported> {
+    let mut decoded = if bytes.starts_with(&EXR_MAGIC) {
+        exr::decode(path, bytes, options.layer.as_deref())?
+    } else if bytes.starts_with(HDR_MAGIC) {
+        hdr::decode(path, bytes)?
     } else {
-        return Err(unknown_type(path, &start));
+        return Err(unknown_type(path, &bytes[..bytes.len().min(64)]));
     };
     repair::check(path, &mut decoded, options)?;
     let Decoded { mut image, pose, mapping, conversion, mut findings, .. } = decoded;

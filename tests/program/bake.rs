@@ -350,6 +350,16 @@ fn plan_is_printed_and_nothing_is_written() {
     assert_eq!(&folder.inspect("room.gdibl")["plan"], rows);
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_device_is_an_error_of_the_system_and_is_not_read() {
+    let folder = coloured_room();
+    let run =
+        folder.run(&[&["bake"], &PROBES[..], &["--counts", "2,2,2", "--samples", "16", "-o", "/dev/full"]].concat());
+    assert_eq!(run.code, 1, "{}", run.err);
+    assert!(run.err.contains("/dev/full: No space left on device"), "{}", run.err);
+}
+
 #[test]
 fn one_sample_bakes_without_a_standard_error() {
     let folder = coloured_room();

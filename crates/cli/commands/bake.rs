@@ -420,7 +420,7 @@ fn write_shard(
 
 /// The shard is there already, whole.
 fn unchanged_shard(config: &Config, request: &Request, shard: Shard, stages: &Stages) -> Option<Outcome> {
-    let mut file = std::fs::File::open(&config.output).ok()?;
+    let mut file = config.output.is_file().then(|| std::fs::File::open(&config.output).ok())??;
     let found = scan(&mut file).ok().filter(|found| found.is_whole)?;
     if found.head.request != *request || found.head.shard != Some(shard) {
         return None;
@@ -443,7 +443,8 @@ fn unchanged_shard(config: &Config, request: &Request, shard: Shard, stages: &St
 /// The output is there already: whole, and made from an equal request.
 fn unchanged(config: &Config, request: &Request, stages: &Stages, session: &Session) -> Option<Outcome> {
     let path = &config.output;
-    let bytes = std::fs::read(path).ok()?;
+    // A device may have no end.
+    let bytes = path.is_file().then(|| std::fs::read(path).ok())??;
     let directory = format::parse_header_and_sections(&bytes).ok()?;
     let settings: SettingsRecord = super::record(&directory, path, format::SETTINGS).ok()??;
     if settings.request != request.key() {

@@ -247,7 +247,7 @@ fn truth_that_cannot_be_compared_with_is_named_with_what_was_found() {
 
 #[cfg(unix)]
 #[test]
-fn interrupted_bake_ends_with_130_and_leaves_nothing_behind() {
+fn interrupted_bake_ends_with_130_and_leaves_only_what_the_next_goes_on_from() {
     let folder = inputs();
     let before = folder.names();
     // Hours of work on one node, and on many.
@@ -266,7 +266,9 @@ fn interrupted_bake_ends_with_130_and_leaves_nothing_behind() {
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(130), "{message}");
         assert!(message.contains("interrupted"), "{message}");
-        assert_eq!(folder.names(), before);
+        let mut names = folder.names();
+        names.retain(|name| name != "room.gdibl.partial");
+        assert_eq!(names, before);
     }
 }
 

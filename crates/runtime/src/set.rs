@@ -90,7 +90,8 @@ impl VolumeSet {
     /// Which volumes count at a position in metres, in their order. Weights add up to 1.
     pub fn shares(&self, position: [f64; 3]) -> impl Iterator<Item = Share> {
         // A coordinate that is no number counts as far below.
-        let position = position.map(|coordinate| coordinate.max(-FARTHEST).min(FARTHEST));
+        let within = |x: f64| if x.is_nan() { -FARTHEST } else { x.clamp(-FARTHEST, FARTHEST) };
+        let position = position.map(within);
         let depths = self.members.iter().map(move |member| member.depth(position));
         let deepest = depths.fold(f64::NEG_INFINITY, f64::max);
         let mut left = 1.0;

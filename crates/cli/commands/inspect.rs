@@ -109,8 +109,11 @@ fn inspect_list(list: VolumeList, path: &Path, worst: usize) -> Result<Outcome, 
     Ok(Outcome::new(ListReport { list: path.display().to_string(), level, volumes }, said))
 }
 
-/// Volumes with their bytes, and other files. The first bytes tell.
-fn read(files: &[PathBuf]) -> Result<(Vec<(PathBuf, Vec<u8>)>, Vec<PathBuf>), Fault> {
+/// A volume's path, and its bytes.
+type VolumeFile = (PathBuf, Vec<u8>);
+
+/// Volumes, and other files. The first bytes tell.
+fn read(files: &[PathBuf]) -> Result<(Vec<VolumeFile>, Vec<PathBuf>), Fault> {
     let (mut volumes, mut levels) = (Vec::new(), Vec::new());
     for path in files {
         let bytes = super::read_bytes(path)?;

@@ -2,6 +2,7 @@
 
 pub mod assemble;
 pub mod bake;
+mod baking;
 pub mod capture;
 pub mod compare;
 pub mod cut;
@@ -10,6 +11,7 @@ pub mod inspect;
 pub mod probes;
 pub mod render;
 pub mod sample;
+mod several;
 pub mod study;
 
 use gdibl_baker::job::records::{

@@ -203,8 +203,8 @@ settings! {
         "N" max_nodes: Option<u64> = None, |nodes| nodes.is_none_or(|n| n >= 1) => "1 or more";
         /// The most bytes that the light of a grid may take whose spacing is not given [default: any]
         "N" max_bytes: Option<u64> = None, |bytes| bytes.is_none_or(|n| n >= 1) => "1 or more";
-        /// Choose the spacing so that the bake ends within these seconds on this machine; the file records as --max-nodes
-        /// what that came to
+        /// Choose the spacing so that the bake ends within these seconds on this machine; the file records the most nodes that
+        /// fit, as --max-nodes, which gives the same bake again
         "SECONDS" (unrecorded) budget: Option<f64> = None,
             |seconds| seconds.is_none_or(|s| s > 0.0 && s.is_finite()) => "seconds above 0";
         /// Leave grid nodes out where light between their neighbours is right to this share (0.01 is 1 %); spacing, or

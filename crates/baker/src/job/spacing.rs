@@ -1,7 +1,7 @@
 //! How fine a grid has to be, where nobody says: a coarse one is baked first, and its error between nodes measured. Finer ones follow
 //! until the error is as small as was asked for, or nodes, bytes or seconds are used up.
 //!
-//! The coarse grids together take at most a fifth of the work of the finest. Of a grid that is off by p at the 95th percentile,
+//! The coarse grids together take at most a quarter of the work of the finest, and the first. Of a grid that is off by p at the 95th percentile,
 //! and ought to be off by q, no grid of fewer than (p/q)^(3/2) times its nodes is good enough: between nodes the error falls with
 //! the square of their distance where light is smooth, and slower where it is not. So a grid that cannot be good enough is not
 //! baked.
@@ -176,7 +176,7 @@ fn named(grid: &Grid) -> String {
 
 /// Share of the seconds that are left which is planned to be used: no trial tells all.
 const PLANNED: f64 = 0.9;
-/// Share of the work of the finest grid that coarser ones take at most, about.
+/// Share of the work of the finest grid that coarser ones usually do not exceed.
 const COARSER_SHARE: f64 = 0.15;
 /// Work of a place between nodes, in nodes: the light there, its bands, and the search for open places.
 const WORK_OF_A_PLACE: f64 = 1.5;

@@ -276,11 +276,12 @@ fn read_pixels(
         for chunk in &compressed {
             check_dwa_counters(path, &metadata.headers[part], chunk)?;
         }
-        let blocks: Vec<UncompressedBlock> = compressed
+        // Of several damaged blocks the first one is named, whichever thread was first.
+        let blocks: Vec<ExrResult<UncompressedBlock>> = compressed
             .into_par_iter()
             .map(|chunk| UncompressedBlock::decompress_chunk(chunk, &metadata, false))
-            .collect::<ExrResult<_>>()
-            .map_err(in_pixels)?;
+            .collect();
+        let blocks = blocks.into_iter().collect::<ExrResult<Vec<_>>>().map_err(in_pixels)?;
         for block in &blocks {
             // A table entry may point at a block of another part or level, or twice at the same one.
             let index = block.index;

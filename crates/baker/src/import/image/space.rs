@@ -49,26 +49,30 @@ impl Conversion {
 
     /// Converts all pixels. Numbers that Rec.709 shows as negative light become 0, and are told.
     pub fn apply(&self, path: &Path, image: &mut Image, findings: &mut Vec<Finding>) -> Result<()> {
-        let width = image.width;
-        let convert = |(index, pixel): (usize, &mut [f32; 3])| -> Result<u64> {
+        let convert = |(index, pixel): (usize, &mut [f32; 3])| {
             let light = self.matrix * DVec3::from_array(pixel.map(|v| self.curve.decode(v.into())));
             let shown = light.max(DVec3::ZERO).as_vec3();
             if !shown.is_finite() {
-                let (x, y) = (index % width, index / width);
-                return Err(Error::invalid(
-                    path,
-                    format!(
-                        "the pixel at x {x}, y {y} is {pixel:?}, more light than a float holds once converted to \
-                         Rec.709: make the panorama darker, and raise its exposure"
-                    ),
-                ));
+                return (0, Some((index, *pixel)));
             }
             let outside = light.min_element() < -ROUNDING * light.max_element().max(f64::MIN_POSITIVE);
             *pixel = shown.to_array();
-            Ok(outside.into())
+            (u64::from(outside), None)
         };
-        let outside = image.pixels.par_iter_mut().enumerate().map(convert);
-        let outside: u64 = outside.collect::<Result<Vec<u64>>>()?.into_iter().sum();
+        // Of several pixels that are too bright the first one is named, whichever thread was first.
+        let join = |(a, first): (u64, Option<_>), (b, second): (u64, Option<_>)| (a + b, first.or(second));
+        let pixels = image.pixels.par_iter_mut().enumerate();
+        let (outside, too_bright) = pixels.map(convert).reduce(|| (0, None), join);
+        if let Some((index, pixel)) = too_bright {
+            let (x, y) = (index % image.width, index / image.width);
+            return Err(Error::invalid(
+                path,
+                format!(
+                    "the pixel at x {x}, y {y} is {pixel:?}, more light than a float holds once converted to Rec.709: \
+                     make the panorama darker, and raise its exposure"
+                ),
+            ));
+        }
         if outside > 0 {
             let message = format!(
                 "{outside} pixels have colours that Rec.709 cannot show: their channels below 0 became 0, and they are \

@@ -35,23 +35,27 @@ impl Stream {
         Stream { sampler, scramble: (mixed >> 32) as u32 }
     }
 
-    /// Point `sample` in dimensions `2·pair` and `2·pair + 1`, each in 0..1. Pair 0 chooses the direction that
-    /// leaves the node; later pairs belong to later bounces.
+    /// Point `sample` of a pair of dimensions, each in 0..1. Pair 0 chooses the direction that leaves the node; later pairs
+    /// belong to later bounces. Pairs are independent of each other.
     pub fn point(&self, sample: u32, pair: u32) -> [f32; 2] {
+        self.points(sample, pair)[0]
+    }
+
+    /// The same and a second point, for two choices at once: all four numbers together are well distributed. No more time than
+    /// one takes.
+    pub fn points(&self, sample: u32, pair: u32) -> [[f32; 2]; 2] {
         match self.sampler {
             Sampler::Sobol => {
-                // Two dimensions per scramble: each pair is well distributed by itself, and pairs are independent. Those
-                // from 2^16 on, of walks of that length, are another stream's.
+                // Pairs from 2^16 on, of walks of that length, are another stream's.
                 let scramble =
                     mix(u64::from(self.scramble) << 32 ^ u64::from(pair) << 16 | u64::from(sample / SEQUENCE));
-                let index = sample % SEQUENCE;
-                // Four dimensions take less time than one alone.
-                let [x, y, ..] = sobol_burley::sample_4d(index, 0, scramble as u32);
-                [x, y]
+                let [x, y, z, w] = sobol_burley::sample_4d(sample % SEQUENCE, 0, scramble as u32);
+                [[x, y], [z, w]]
             }
             Sampler::Random => {
                 let bits = self.bits(sample, pair);
-                [bits >> 40, (bits >> 16) & 0xff_ffff].map(|b| b as f32 / (1 << 24) as f32)
+                [bits, mix(bits)]
+                    .map(|bits| [bits >> 40, (bits >> 16) & 0xff_ffff].map(|b| b as f32 / (1 << 24) as f32))
             }
         }
     }

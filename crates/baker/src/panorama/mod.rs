@@ -18,6 +18,7 @@
 //!
 //! Other layouts ([`Mapping`]) are converted once, at import, by [`to_lat_long`].
 
+mod cell;
 mod convert;
 mod grid;
 mod image;
@@ -35,10 +36,11 @@ use glam::{Vec3, Vec4};
 
 use crate::angle::arctangent;
 
+pub use cell::Cell;
 pub use convert::{from_lat_long, to_lat_long};
 pub(crate) use grid::PixelGrid;
 pub use image::Image;
-pub use importance::Importance;
+pub use importance::{Drawn, Importance};
 pub use mapping::{Mapping, guess_from_aspect};
 pub use sun::{Sun, take_out_sun};
 pub use tiles::{TileChoice, Tiles};
@@ -225,10 +227,25 @@ impl Panorama {
         ]
     }
 
+    /// The cell that holds a direction of any length.
+    pub fn cell(&self, direction: Vec3) -> Cell {
+        Cell::of(direction, self.width, self.height)
+    }
+
     /// Radiance along `direction`, bilinear, whatever the distances: for panoramas at infinity.
     pub fn radiance(&self, direction: Vec3) -> Vec3 {
-        let (taps, texels) = self.taps_and_texels(direction);
-        taps.iter().zip(texels).fold(Vec3::ZERO, |sum, (tap, texel)| sum + tap.weight * texel.truncate())
+        self.radiance_in(&self.cell(direction))
+    }
+
+    /// The same along a direction in a cell.
+    pub fn radiance_in(&self, cell: &Cell) -> Vec3 {
+        let Cell { row, column, x, y, .. } = *cell;
+        let right = if column + 1 == self.width { 0 } else { column + 1 };
+        // Past the first and the last row nothing changes.
+        let [above, below] = [row.saturating_sub(1), row.min(self.height - 1)].map(|row| row * self.width);
+        let [a, b, c, d] = self.texels.at([above + column, above + right, below + column, below + right]);
+        let mean = |left: Vec4, right: Vec4, share: f32| left.truncate() * (1.0 - share) + right.truncate() * share;
+        mean(a, b, x) * (1.0 - y) + mean(c, d, x) * y
     }
 
     /// Radiance that comes along `direction` from outside: only pixels whose ray escapes lend, so that an opening

@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use super::Panorama;
+use super::Cell;
 use crate::angle::sine_cosine;
 
 /// Most sectors and bands. About 11° on a side: L2 tells no finer, and 2048 rays are four to a tile.
@@ -27,17 +27,6 @@ pub struct Tiles {
     /// Sine of the latitude at the upper and the lower edge of every band.
     edges: Vec<[f64; 2]>,
     solid_angle_shares: Vec<f64>,
-}
-
-/// A cell, and a place in it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Cell {
-    pub row: usize,
-    pub column: usize,
-    /// Share of the cell to the left, 0..=1.
-    pub x: f64,
-    /// Of the whole panorama, 0..=1 from the top.
-    pub v: f64,
 }
 
 impl Tiles {
@@ -81,6 +70,11 @@ impl Tiles {
         false
     }
 
+    /// How many bands.
+    pub fn down(&self) -> usize {
+        self.down
+    }
+
     /// How many sectors.
     pub fn across(&self) -> usize {
         self.across
@@ -101,30 +95,14 @@ impl Tiles {
         range(tile % self.across, self.width, self.across)
     }
 
-    /// The tile that holds a direction.
-    pub fn of(&self, direction: Vec3) -> usize {
-        let cell = self.cell(direction);
-        self.of_cell(cell.row, cell.column)
+    /// The cell that holds a direction of any length.
+    pub fn cell(&self, direction: Vec3) -> Cell {
+        Cell::of(direction, self.width, self.height)
     }
 
     /// The tile that holds a cell.
-    pub(super) fn of_cell(&self, row: usize, column: usize) -> usize {
-        self.bands[row] as usize * self.across + self.sectors[column] as usize
-    }
-
-    /// The cell that holds a direction.
-    pub(super) fn cell(&self, direction: Vec3) -> Cell {
-        let (u, v) = Panorama::uv(direction);
-        let v = f64::from(v);
-        let px = f64::from(u) * self.width as f64 - 0.5;
-        // At least -1/2.
-        let after = (px + 1.0) as usize;
-        Cell {
-            row: ((v * self.height as f64 + 0.5) as usize).min(self.height),
-            column: if after == 0 { self.width - 1 } else { (after - 1) % self.width },
-            x: (px + 1.0) - after as f64,
-            v,
-        }
+    pub fn of(&self, cell: &Cell) -> usize {
+        self.bands[cell.row] as usize * self.across + self.sectors[cell.column] as usize
     }
 
     /// Share of the sphere, 0..=1, of every tile.

@@ -176,4 +176,9 @@ impl PathContext {
     pub fn point(&self, pair: u32) -> [f32; 2] {
         self.stream.point(self.sample, pair)
     }
+
+    /// The same and a second point, see [`Stream::points`].
+    pub fn points(&self, pair: u32) -> [[f32; 2]; 2] {
+        self.stream.points(self.sample, pair)
+    }
 }

@@ -18,6 +18,7 @@ use super::guide::{Distant, Guide, Receiver, Sky, bright_triangles, solid_angle_
 use super::punctual::{Arriving, Punctual};
 use super::{MOST_SURVIVAL, PathContext, Radiance, RadianceFunction, Seen};
 use crate::Finding;
+use crate::panorama::Drawn;
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams};
 use crate::scene::{Material, Metals, Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Surfaces, Trees};
@@ -56,8 +57,9 @@ impl First {
 
 /// From this surface on a walk may end by roulette.
 const ROULETTE_FROM: u32 = 2;
-/// Pairs of random numbers of one surface; those of the node or pixel come first.
-const PAIRS: u32 = 4;
+/// Pairs of random numbers of one surface; those of the node or pixel come first: where to go on and where in the sky to
+/// look, toward which emitter, roulette and punctual light.
+const PAIRS: u32 = 3;
 
 /// The function, ready to be called from any thread.
 #[derive(Debug)]
@@ -168,9 +170,12 @@ impl<'a> Path<'a> {
         for bounce in 0.. {
             let pair = pairs + 1 + PAIRS * bounce;
             let Some(hit) = met else {
-                let sky = self.sky.as_ref().map_or(Vec3::ZERO, |sky| sky.radiance(direction));
-                let drawn = || self.guide.sky().map_or(0.0, |sky| sky.density(direction));
-                light += throughput * sky * left.map_or(1.0, |(_, density)| balance(density, drawn()));
+                if let Some(sky) = &self.sky {
+                    let cell = sky.cell(direction);
+                    let drawn = || self.guide.sky().map_or(0.0, |importance| importance.density_in(&cell));
+                    let weight = left.map_or(1.0, |(_, density)| balance(density, drawn()));
+                    light += throughput * sky.radiance_in(&cell) * weight;
+                }
                 break;
             };
             let surfaces = self.surfaces.as_ref().expect("something was hit");
@@ -187,16 +192,17 @@ impl<'a> Path<'a> {
                 break;
             }
             let start = surfaces.leave(&hit);
-            light += throughput * self.direct(start, hit.normal, pair, context);
+            let [onward, to_sky] = context.points(pair);
+            light += throughput * self.direct(start, hit.normal, to_sky, pair, context);
             // Roulette: what survives goes on with the weight of what does not.
             let survival = throughput.max_element().min(MOST_SURVIVAL);
             if bounce >= ROULETTE_FROM {
-                if context.point(pair + 3)[0] >= survival {
+                if context.point(pair + 2)[0] >= survival {
                     break;
                 }
                 throughput /= survival;
             }
-            direction = cosine_hemisphere(hit.normal, context.point(pair));
+            direction = cosine_hemisphere(hit.normal, onward);
             let receiver = Receiver::surface(start, hit.normal);
             left = Some((receiver, direction.dot(hit.normal) * std::f32::consts::FRAC_1_PI));
             let next = self.nearest(start, direction, pair + PAIRS, context);
@@ -219,11 +225,12 @@ impl<'a> Path<'a> {
             }
             materials.insert(surfaces.mesh(self.scene, hit.triangle).material);
             let start = surfaces.leave(&hit);
+            let [onward, to_sky] = context.points(pair);
             if !is_lit && bounce < ASKED {
                 is_lit = surfaces.emission(self.scene, &hit) != Vec3::ZERO
-                    || self.direct(start, hit.normal, pair, context) != Vec3::ZERO;
+                    || self.direct(start, hit.normal, to_sky, pair, context) != Vec3::ZERO;
             }
-            let direction = cosine_hemisphere(hit.normal, context.point(pair));
+            let direction = cosine_hemisphere(hit.normal, onward);
             hit = self.nearest(start, direction, pair + PAIRS, context).hit?;
         }
         is_lit.then_some(materials)
@@ -237,8 +244,8 @@ impl<'a> Path<'a> {
     }
 
     /// Light that arrives at a surface straight from lights, over π: what a white surface sends on. Next-event
-    /// estimation, one ray each toward an emitter, the sky and a punctual light.
-    fn direct(&self, start: Vec3, normal: Vec3, pair: u32, context: &mut PathContext) -> Vec3 {
+    /// estimation, one ray each toward an emitter, the sky (by the point `to_sky`) and a punctual light.
+    fn direct(&self, start: Vec3, normal: Vec3, to_sky: [f32; 2], pair: u32, context: &mut PathContext) -> Vec3 {
         const FRAC_1_PI: f32 = std::f32::consts::FRAC_1_PI;
         let mut sum = Vec3::ZERO;
         if let (Some(emitters), Some(surfaces)) = (self.guide.emitters(), &self.surfaces) {
@@ -262,12 +269,12 @@ impl<'a> Path<'a> {
             }
         }
         if let (Some(importance), Some(sky)) = (self.guide.sky(), &self.sky) {
-            let (direction, density) = importance.sample(context.point(pair + 2));
+            let Drawn { direction, density, cell } = importance.sample(to_sky);
             let cosine = direction.dot(normal);
             if cosine > 0.0 && density > 0.0 {
                 let clear = self.escaping(start, direction, context);
                 if clear != Vec3::ZERO {
-                    sum += sky.radiance(direction) * clear * (cosine * FRAC_1_PI / (density + cosine * FRAC_1_PI));
+                    sum += sky.radiance_in(&cell) * clear * (cosine * FRAC_1_PI / (density + cosine * FRAC_1_PI));
                 }
             }
         }
@@ -281,7 +288,7 @@ impl<'a> Path<'a> {
         if total <= 0.0 {
             return Vec3::ZERO;
         }
-        let mut left = context.point(pair + 3)[1] * total;
+        let mut left = context.point(pair + 2)[1] * total;
         let mut chosen = None;
         for arriving in self.punctual.arriving(start) {
             let share = given(&arriving).element_sum();

@@ -19,7 +19,7 @@ pub use sky::Distant;
 pub(super) use sky::Sky;
 use sky::SkyImportance;
 
-use crate::panorama::Tiles;
+use crate::panorama::{Drawn, Tiles};
 use crate::sampling::uniform_sphere;
 
 /// Share of directions that are uniform over the sphere. The weight of no direction exceeds its inverse, whatever the
@@ -117,7 +117,7 @@ impl Guide {
         let met = glance.origin + glance.direction * glance.distance;
         let escaped = glance.distance == f32::INFINITY;
         let direction = if escaped { glance.direction } else { (met - place).normalize_or(glance.direction) };
-        let tile = self.tiles.of(self.to_local * direction);
+        let tile = self.tiles.of(&self.tiles.cell(self.to_local * direction));
         sums.add(tile, glance.brightness, escaped && self.sky.is_some());
     }
 
@@ -155,7 +155,7 @@ impl Guide {
             Technique::Sky => {
                 let sky = self.sky_at_nodes().expect("without a sky no direction goes there");
                 let (tile, point) = outlook.sky.choose(point);
-                let (direction, density) = sky.sample_in(tile, point);
+                let Drawn { direction, density, .. } = sky.sample_in(tile, point);
                 return (direction, outlook.weight(tile, density, self.emitters_density(&from.receiver(), direction)));
             }
             Technique::Emitters => {
@@ -178,10 +178,8 @@ impl Guide {
     }
 
     fn sky_density_and_tile(&self, direction: Vec3) -> (f32, usize) {
-        match self.sky_at_nodes() {
-            Some(sky) => sky.density_and_tile(direction),
-            None => (0.0, self.tiles.of(direction)),
-        }
+        let cell = self.tiles.cell(self.to_local * direction);
+        (self.sky_at_nodes().map_or(0.0, |sky| sky.density_in(&cell)), self.tiles.of(&cell))
     }
 
     /// A direction toward what is bright, whatever hides it, and its density per steradian (infinite where it is none after
@@ -190,14 +188,17 @@ impl Guide {
         let receiver = Receiver::node(origin);
         match (&self.sky, &self.emitters) {
             (None, None) => None,
-            (Some(sky), None) => Some(sky.sample([first, second])),
+            (Some(sky), None) => {
+                let Drawn { direction, density, .. } = sky.sample([first, second]);
+                Some((direction, density))
+            }
             (None, Some(emitters)) => {
                 let found = emitters.sample_direction(&receiver, [first, second]);
                 Some(found.unwrap_or((Vec3::Y, f32::INFINITY)))
             }
             // Half each; what is left of the number goes on.
             (Some(sky), Some(_)) if first < 0.5 => {
-                let (direction, density) = sky.sample([2.0 * first, second]);
+                let Drawn { direction, density, .. } = sky.sample([2.0 * first, second]);
                 Some((direction, 0.5 * density + 0.5 * self.emitters_density(&receiver, direction)))
             }
             (Some(sky), Some(emitters)) => {

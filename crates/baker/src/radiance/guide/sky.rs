@@ -2,7 +2,7 @@
 
 use glam::{Mat3, Quat, Vec3};
 
-use crate::panorama::{Importance, Panorama, Sun, Tiles, take_out_sun};
+use crate::panorama::{Cell, Drawn, Importance, Panorama, Sun, Tiles, take_out_sun};
 
 /// A panorama at infinity.
 #[derive(Debug, Clone)]
@@ -59,9 +59,19 @@ impl<'a> Sky<'a> {
         }
     }
 
+    /// Where in the panorama a `direction` (world) points.
+    pub fn cell(&self, direction: Vec3) -> Cell {
+        self.panorama.cell(self.to_local * direction)
+    }
+
     /// Radiance that arrives from the unit `direction` (world).
     pub fn radiance(&self, direction: Vec3) -> Vec3 {
-        self.panorama.radiance(self.to_local * direction) * self.gain
+        self.radiance_in(&self.cell(direction))
+    }
+
+    /// The same from a direction in a cell.
+    pub fn radiance_in(&self, cell: &Cell) -> Vec3 {
+        self.panorama.radiance_in(cell) * self.gain
     }
 
     /// The same at a node: without the sun, if it was taken out.
@@ -111,25 +121,27 @@ impl SkyImportance {
         self.importance.power().iter().map(move |power| power * mean)
     }
 
-    /// A direction (world) for a point of the unit square, and its density per steradian.
-    pub fn sample(&self, point: [f32; 2]) -> (Vec3, f32) {
-        let (local, density) = self.importance.sample(point);
-        (self.to_local.transpose() * local, density)
+    /// A direction (world) for a point of the unit square.
+    pub fn sample(&self, point: [f32; 2]) -> Drawn {
+        self.to_world(self.importance.sample(point))
     }
 
-    /// A direction (world) in a tile, by the light in it, and the density per steradian that [`SkyImportance::sample`] returns it with.
-    pub fn sample_in(&self, tile: usize, point: [f64; 2]) -> (Vec3, f32) {
-        let (local, density) = self.importance.sample_in(tile, point);
-        (self.to_local.transpose() * local, density)
+    /// A direction (world) in a tile, by the light in it. Its density is that of [`SkyImportance::sample`].
+    pub fn sample_in(&self, tile: usize, point: [f64; 2]) -> Drawn {
+        self.to_world(self.importance.sample_in(tile, point))
+    }
+
+    fn to_world(&self, drawn: Drawn) -> Drawn {
+        Drawn { direction: self.to_local.transpose() * drawn.direction, ..drawn }
     }
 
     /// Density per steradian with which [`SkyImportance::sample`] returns `direction`.
     pub fn density(&self, direction: Vec3) -> f32 {
-        self.importance.density(self.to_local * direction)
+        self.density_in(&self.tiles().cell(self.to_local * direction))
     }
 
-    /// The same, and the tile that holds `direction`.
-    pub fn density_and_tile(&self, direction: Vec3) -> (f32, usize) {
-        self.importance.density_and_tile(self.to_local * direction)
+    /// The same for a direction in a cell.
+    pub fn density_in(&self, cell: &Cell) -> f32 {
+        self.importance.density(cell)
     }
 }

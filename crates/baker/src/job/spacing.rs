@@ -178,8 +178,6 @@ fn named(grid: &Grid) -> String {
 const PLANNED: f64 = 0.9;
 /// Share of the work of the finest grid that coarser ones usually do not exceed.
 const COARSER_SHARE: f64 = 0.15;
-/// Work of a place between nodes, in nodes: the light there, its bands, and the search for open places.
-const WORK_OF_A_PLACE: f64 = 1.5;
 /// Nodes of the first trial; of a second one at most so many, and so much of the budget.
 const TRIAL: usize = 128;
 const MOST_OF_SECOND_TRIAL: f64 = 4096.0;
@@ -191,6 +189,8 @@ pub(super) struct Pace {
     /// Until the first node.
     prepare: f64,
     per_node: f64,
+    /// Of a place between nodes, in nodes.
+    work_of_a_place: f64,
 }
 
 /// Bakes a few of the nodes, spread evenly over all, and looks at the clock.
@@ -222,14 +222,14 @@ impl Work for Trial<'_, '_> {
         if more > 4 * TRIAL && nodes.len() > 4 * TRIAL {
             per_node = time(more)?;
         }
-        Ok(Pace { prepare, per_node })
+        Ok(Pace { prepare, per_node, work_of_a_place: seen::work_of_a_place(settings.bake().samples) })
     }
 }
 
 impl Pace {
     /// The most nodes of a grid whose bake takes so many seconds. `places`: see `seen_places`.
     pub fn nodes_in(self, seconds: f64, places: Option<u32>) -> u64 {
-        affordable((PLANNED * seconds - self.prepare) / self.per_node, places)
+        affordable((PLANNED * seconds - self.prepare) / self.per_node, places, self.work_of_a_place)
     }
 
     /// What a bake takes, seconds: at most where a coarser grid may do.
@@ -240,13 +240,13 @@ impl Pace {
             (_, Some(places)) => places.into(),
         };
         let coarser = if searches { FIRST as f64 + COARSER_SHARE * nodes.len() as f64 } else { 0.0 };
-        self.prepare + self.per_node * (nodes.len() as f64 + coarser + 2.0 * WORK_OF_A_PLACE * places)
+        self.prepare + self.per_node * (nodes.len() as f64 + coarser + 2.0 * self.work_of_a_place * places)
     }
 }
 
-/// The nodes of the finest grid that the work of so many nodes pays for.
-fn affordable(work: f64, places: Option<u32>) -> u64 {
-    let nodes_for = |places: f64| (work - FIRST as f64 - 2.0 * WORK_OF_A_PLACE * places) / (1.0 + COARSER_SHARE);
+/// The nodes of the finest grid that the work of so many nodes pays for, a place taking that of so many.
+fn affordable(work: f64, places: Option<u32>, work_of_a_place: f64) -> u64 {
+    let nodes_for = |places: f64| (work - FIRST as f64 - 2.0 * work_of_a_place * places) / (1.0 + COARSER_SHARE);
     let nodes = match places {
         Some(0) => work,
         Some(places) => nodes_for(places.into()),
@@ -326,9 +326,9 @@ mod tests {
 
     #[test]
     fn work_pays_for_the_grid_and_all_else() {
-        assert_eq!(affordable(5000.0, Some(0)), 5000);
-        assert_eq!(affordable(0.0, None), 1);
-        let nodes = affordable(10_000.0, None) as f64;
+        assert_eq!(affordable(5000.0, Some(0), 0.4), 5000);
+        assert_eq!(affordable(0.0, None, 0.4), 1);
+        let nodes = affordable(10_000.0, None, 0.4) as f64;
         assert!((7500.0..8500.0).contains(&nodes), "{nodes}");
     }
 }

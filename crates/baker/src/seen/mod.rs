@@ -2,14 +2,16 @@
 //! places. At a node light is as right as its noise; between nodes, where an engine draws, it is not.
 //!
 //! Places are held out: no node stands there, in the air with normals of all directions, and on surfaces with their own. The true
-//! E of a place is summed straight over its hemisphere ([`irradiance_at`]), by as many directions as a node takes. A quarter as many find
-//! its light to the bands that are stored, which tells what the other bands would add.
+//! E of a place is summed straight over its hemisphere ([`irradiance_at`]). Great errors are rare, and few directions tell them: so most
+//! places have an eighth of a node's directions. The others have as many as a node, and tell what errors usually are; a quarter as
+//! many find their light to the bands that are stored, which tells what the other bands would add.
 //!
 //! The noise of the truth is taken out. With d the difference at a place, t the standard error of the truth there, and v that of
 //! the nodes' light, what is left is d √(s² / (s² + t²)), where s² is the square of what is to be expected of the volume's own error:
 //! s² = v² + b² + max(d² - 5 (v² + t² + b²), 0). b, relative to the light, is the same for all places: it makes the median of d² what it
 //! is, if errors are normal. A great difference stays, and of a small one the volume's share is left. The parts are root mean
-//! squares over all places: so their noise can be subtracted as it is.
+//! squares, so that their noise can be subtracted as it is: over all places, and what bands and distances from nodes do over
+//! those with as many directions as a node.
 
 pub mod places;
 
@@ -30,15 +32,19 @@ use places::{in_the_air, on_surfaces};
 
 /// The worst places of either kind are kept: 576 bytes of a file. All of them would be a twentieth of a small one.
 const WORST: usize = 32;
-/// Places of either kind when nothing is said: a share of the nodes, within bounds.
-const SHARE: usize = 16;
-const LEAST: usize = 8;
-const MOST: usize = 256;
-/// Places are looked for so many times as often as they are wanted, with so many directions each: some lie in solids, or in the dark.
-/// By 64 directions places that are dim, where errors are greatest, counted as dark: an apartment was off by 261 % at the 95th
-/// percentile, and 115 % was said.
+/// Places of either kind when nothing is said: a share of the nodes, within bounds. With 256 places at most an apartment was off by
+/// 233 % at the 95th percentile, and 92 % was said.
+const SHARE: usize = 4;
+const LEAST: usize = 32;
+const MOST: usize = 1024;
+/// Of them one in so many has as many directions as a node, but at least so many; the others have as many less directions.
+const PRECISE: usize = 8;
+const LEAST_PRECISE: usize = 64;
+/// Places are looked for so many times as often as they are wanted, with a few directions each: some lie in solids, or in the dark.
+/// Places that are dim, where errors are greatest, may look dark: these are looked at again, with more.
 const TRIES: u32 = 3;
-const PILOT: u64 = 256;
+const PILOT: u64 = 64;
+const SECOND_PILOT: u64 = 256;
 /// The coefficients at a place take the number of directions that E takes, divided by this.
 const COEFFICIENTS: u64 = 4;
 /// Places lie off their surface by so many trace units, as nodes at vertices do.
@@ -59,14 +65,19 @@ const OWN_SEED: u64 = 0x5ee4_0000_0000;
 /// Places in the open, and the light there.
 #[derive(Debug)]
 pub struct HeldOut {
+    air: Places,
+    surfaces: Places,
+    rays: u64,
+}
+
+/// Places of one kind.
+#[derive(Debug)]
+struct Places {
     places: Vec<SurfacePlace>,
-    /// How many of them are in the air; the others are on surfaces.
-    in_the_air: usize,
     /// E at each.
     truth: Vec<Gathered>,
-    /// Their light as nodes have it.
+    /// The light of the first ones, those with as many directions as a node, as nodes have it.
     baked: Baked,
-    rays: u64,
 }
 
 /// How many places of either kind tell the error of so many nodes.
@@ -74,8 +85,16 @@ pub fn usual_count(nodes: usize) -> usize {
     (nodes / SHARE).clamp(LEAST, MOST)
 }
 
-/// Samples up to `count` places in the air, and on surfaces, in the box of a grid, by `samples` directions each. `None`: between nodes
-/// nothing is read, or no light reaches any place.
+/// The directions that a place takes on average, for one direction of a node that has so many, places being looked for.
+pub fn work_of_a_place(samples: u64) -> f64 {
+    let precise = 1.0 / PRECISE as f64;
+    precise * (1.0 + 1.0 / COEFFICIENTS as f64)
+        + (1.0 - precise) / PRECISE as f64
+        + f64::from(TRIES) * PILOT as f64 / samples.max(PILOT) as f64
+}
+
+/// Samples up to `count` places in the air, and on surfaces, in the box of a grid, some by `samples` directions each. `None`: between
+/// nodes nothing is read, or no light reaches any place.
 pub fn hold_out(
     nodes: &Nodes,
     scene: &Scene,
@@ -90,39 +109,45 @@ pub fn hold_out(
     let tries = TRIES * count as u32;
     let lift = function.frame().metres(LIFT).into();
     let seed = settings.seed ^ OWN_SEED;
+    let rays = AtomicU64::new(0);
+    let progress = |places, more| {
+        rays.fetch_add(more, Ordering::Relaxed);
+        (control.progress)(places, more);
+    };
+    let counted = Control { cancel: control.cancel, progress: &progress, blocks: control.blocks };
     let bake_at = |places: &[SurfacePlace], samples: u64| {
         let samples = samples.clamp(1, BakeSettings::MAX_SAMPLES);
         let own = BakeSettings { samples, target_error: None, seed, coefficient_errors: false, ..settings.clone() };
-        bake(&points_of(places), function, &own, control)
+        bake(&points_of(places), function, &own, &counted)
     };
-    let mut rays = 0;
-    let mut lit = |places: Vec<SurfacePlace>| -> Result<Vec<SurfacePlace>, Interrupted> {
-        let pilot = bake_at(&places, PILOT.min(samples))?;
-        rays += pilot.rays;
-        let is_lit = |node: &usize| pilot.node(*node).iter().any(|value| *value != 0.0);
-        Ok(pilot.valid_nodes().filter(is_lit).map(|node| places[node]).take(count).collect())
+    let lit = |places: &[SurfacePlace], samples: u64| -> Result<Vec<bool>, Interrupted> {
+        let pilot = bake_at(places, samples)?;
+        let is_lit = |node: usize| pilot.is_valid(node) && pilot.node(node).iter().any(|value| *value != 0.0);
+        Ok((0..places.len()).map(is_lit).collect())
     };
-    let mut places = lit(in_the_air(bounds, tries, seed))?;
-    let in_the_air = places.len();
-    places.extend(lit(on_surfaces(scene, bounds, lift, tries, seed))?);
-    if places.is_empty() {
-        return Ok(None);
-    }
-    let gather = GatherSettings { samples, seed, sampler: settings.sampler, guided: settings.importance };
-    let traced = AtomicU64::new(0);
-    let count = |places, rays| {
-        traced.fetch_add(rays, Ordering::Relaxed);
-        (control.progress)(places, rays);
+    let kind = |tried: Vec<SurfacePlace>| -> Result<Places, Interrupted> {
+        let mut is_lit = lit(&tried, PILOT.min(samples))?;
+        let dark: Vec<usize> = (0..tried.len()).filter(|place| !is_lit[*place]).collect();
+        let again: Vec<SurfacePlace> = dark.iter().map(|place| tried[*place]).collect();
+        for (place, again) in dark.into_iter().zip(lit(&again, SECOND_PILOT.min(samples))?) {
+            is_lit[place] = again;
+        }
+        let found = tried.into_iter().zip(is_lit).filter(|(_, is_lit)| *is_lit).map(|(place, _)| place);
+        let places: Vec<SurfacePlace> = found.take(count).collect();
+        let precise = (places.len() / PRECISE).max(LEAST_PRECISE).min(places.len());
+        let gather = |places: &[SurfacePlace], samples: u64, seed: u64| {
+            let settings = GatherSettings { samples, seed, sampler: settings.sampler, guided: settings.importance };
+            irradiance_at(places, function, &settings, &counted)
+        };
+        let mut truth = gather(&places[..precise], samples, seed)?;
+        truth.extend(gather(&places[precise..], (samples / PRECISE as u64).max(1), seed + 1)?);
+        let baked = bake_at(&places[..precise], samples / COEFFICIENTS)?;
+        Ok(Places { places, truth, baked })
     };
-    let truth = irradiance_at(
-        &places,
-        function,
-        &gather,
-        &Control { cancel: control.cancel, progress: &count, blocks: control.blocks },
-    )?;
-    let baked = bake_at(&places, samples / COEFFICIENTS)?;
-    let rays = rays + traced.into_inner() + baked.rays;
-    Ok(Some(HeldOut { places, in_the_air, truth, baked, rays }))
+    let air = kind(in_the_air(bounds, tries, seed))?;
+    let surfaces = kind(on_surfaces(scene, bounds, lift, tries, seed))?;
+    let is_dark = air.places.is_empty() && surfaces.places.is_empty();
+    Ok((!is_dark).then_some(HeldOut { air, surfaces, rays: rays.into_inner() }))
 }
 
 impl HeldOut {
@@ -134,48 +159,9 @@ impl HeldOut {
     /// The errors of a volume there, and the places where it is worst, those in the air first. `file` is what an engine reads,
     /// `baked` was stored in it.
     pub fn errors(&self, nodes: &Nodes, baked: &Baked, file: &Volume) -> (SeenRecord, Vec<SeenPlace>) {
-        let here = volume_of(&points_of(&self.places), &self.baked);
-        let exact = volume_of(nodes, baked);
-        let sizes = |baked: &Baked| -> Vec<f64> {
-            (0..baked.len()).map(|node| root_mean_square(&irradiance_of(baked.node(node)))).collect()
-        };
-        let errors_of = |baked: &Baked, sizes: &[f64]| -> Vec<f64> {
-            let floor = FLOOR * median(baked.valid_nodes().map(|node| sizes[node]));
-            (0..baked.len()).map(|node| f64::from(baked.relative_error[node]) * sizes[node].max(floor)).collect()
-        };
-        let noise_here = errors_of(&self.baked, &sizes(&self.baked));
-        let noise_of_nodes = errors_of(baked, &sizes(baked));
-        let (bands, count) = (baked.bands, self.places.len());
-        let found: Vec<Found> = (0..count)
-            .filter(|place| self.truth[*place].standard_error.is_finite())
-            .map(|number| {
-                let SurfacePlace { position, normal } = self.places[number];
-                let Gathered { irradiance: expected, standard_error, .. } = self.truth[number];
-                let expected = expected.as_vec3();
-                let [stored, as_baked] = [file, &exact]
-                    .map(|volume| Vec3::from(volume.irradiance_f64(position.to_array(), normal.to_array())));
-                let to_bands = here.node_sh(number).truncate(bands).convolve();
-                let to_bands = Vec3::from(to_bands.evaluate(normal.to_array()));
-                Found {
-                    position,
-                    in_the_air: number < self.in_the_air,
-                    light: size(expected),
-                    difference: size(stored - expected),
-                    noise_of_truth: size(standard_error.as_vec3()),
-                    noise_here: noise_here[number],
-                    noise: noise_between(&exact, baked, &noise_of_nodes, position),
-                    between: size(as_baked - to_bands),
-                    bands: size(expected - to_bands),
-                    packing: size(stored - as_baked),
-                    systematic: systematic_between(&exact, baked, position),
-                }
-            })
-            .collect();
-        let set = |in_the_air: bool| {
-            let own: Vec<&Found> = found.iter().filter(|found| found.in_the_air == in_the_air).collect();
-            set_of(&own).unzip()
-        };
-        let [(air, in_the_air), (surfaces, on_surfaces)] = [set(true), set(false)];
+        let stored = Stored { exact: volume_of(nodes, baked), noise: errors_of(baked), baked, file };
+        let set = |places: &Places| set_of(&places.found(&stored)).unzip();
+        let [(air, in_the_air), (surfaces, on_surfaces)] = [set(&self.air), set(&self.surfaces)];
         let gdibl_runtime::format::Header { min, max, .. } = *file.header();
         let kinds = [(true, in_the_air), (false, on_surfaces)].into_iter();
         let places =
@@ -186,6 +172,60 @@ impl HeldOut {
     }
 }
 
+/// A volume whose errors are asked for.
+struct Stored<'a> {
+    /// As it was baked, before it was packed.
+    exact: Volume,
+    /// Standard error of E at each node.
+    noise: Vec<f64>,
+    baked: &'a Baked,
+    /// As an engine reads it.
+    file: &'a Volume,
+}
+
+impl Places {
+    fn found(&self, stored: &Stored) -> Vec<Found> {
+        let Stored { exact, baked, file, .. } = stored;
+        let precise = self.baked.len();
+        let here = (precise > 0).then(|| volume_of(&points_of(&self.places[..precise]), &self.baked));
+        let noise_here = errors_of(&self.baked);
+        let found = |number: usize| {
+            let SurfacePlace { position, normal } = self.places[number];
+            let Gathered { irradiance: expected, standard_error, .. } = self.truth[number];
+            let expected = expected.as_vec3();
+            let [stored_light, as_baked] =
+                [*file, exact].map(|volume| Vec3::from(volume.irradiance_f64(position.to_array(), normal.to_array())));
+            let to_bands = here.as_ref().filter(|_| number < precise).map(|here| {
+                let light = here.node_sh(number).truncate(baked.bands).convolve();
+                Vec3::from(light.evaluate(normal.to_array()))
+            });
+            Found {
+                position,
+                light: size(expected),
+                difference: size(stored_light - expected),
+                noise_of_truth: size(standard_error.as_vec3()),
+                noise: noise_between(exact, baked, &stored.noise, position),
+                to_bands: to_bands.map(|to_bands| ToBands {
+                    noise: noise_here[number],
+                    between: size(as_baked - to_bands),
+                    left_out: size(expected - to_bands),
+                }),
+                packing: size(stored_light - as_baked),
+                systematic: systematic_between(exact, baked, position),
+            }
+        };
+        let is_told = |place: &usize| self.truth[*place].standard_error.is_finite();
+        (0..self.places.len()).filter(is_told).map(found).collect()
+    }
+}
+
+/// Standard error of E of each node.
+fn errors_of(baked: &Baked) -> Vec<f64> {
+    let sizes: Vec<f64> = (0..baked.len()).map(|node| root_mean_square(&irradiance_of(baked.node(node)))).collect();
+    let floor = FLOOR * median(baked.valid_nodes().map(|node| sizes[node]));
+    (0..baked.len()).map(|node| f64::from(baked.relative_error[node]) * sizes[node].max(floor)).collect()
+}
+
 fn points_of(places: &[SurfacePlace]) -> Nodes {
     Nodes::Points(places.iter().map(|place| place.position).collect())
 }
@@ -193,20 +233,26 @@ fn points_of(places: &[SurfacePlace]) -> Nodes {
 /// What was found at a place. Lights and errors are root mean squares of E over red, green and blue.
 struct Found {
     position: DVec3,
-    in_the_air: bool,
     light: f64,
     difference: f64,
     noise_of_truth: f64,
-    /// Standard error of the light at the place to the bands that are stored.
-    noise_here: f64,
     /// Standard error of the nodes' light there.
     noise: f64,
-    /// Of the nodes' light against that at the place, to the bands that are stored.
-    between: f64,
-    bands: f64,
+    /// Where the place's light is known to the bands that are stored.
+    to_bands: Option<ToBands>,
     packing: f64,
     /// Relative.
     systematic: f64,
+}
+
+/// The light at a place to the bands that are stored.
+struct ToBands {
+    /// Its standard error.
+    noise: f64,
+    /// Of the nodes' light against it.
+    between: f64,
+    /// What the other bands add.
+    left_out: f64,
 }
 
 impl Found {
@@ -223,13 +269,16 @@ impl Found {
 type PlacesSeen = Vec<(DVec3, f64)>;
 
 /// `None` without a place that light reaches.
-fn set_of(all: &[&Found]) -> Option<(SeenSet, PlacesSeen)> {
+fn set_of(all: &[Found]) -> Option<(SeenSet, PlacesSeen)> {
     let hidden = HIDDEN * median(all.iter().map(|found| found.light));
-    let lit: Vec<&&Found> = all.iter().filter(|found| found.light > hidden).collect();
+    let lit: Vec<&Found> = all.iter().filter(|found| found.light > hidden).collect();
     let floor = FLOOR * median(lit.iter().map(|found| found.light));
     let mean = lit.iter().map(|found| found.light).sum::<f64>() / lit.len().max(1) as f64;
     let scale = |found: &Found| found.light.max(floor);
-    let middle = |square: &dyn Fn(&Found) -> f64| median(lit.iter().map(|found| square(found) / scale(found).powi(2)));
+    let precise: Vec<(&Found, &ToBands)> =
+        lit.iter().filter_map(|found| Some((*found, found.to_bands.as_ref()?))).collect();
+    let middle =
+        |square: &dyn Fn(&Found) -> f64| median(precise.iter().map(|(found, _)| square(found) / scale(found).powi(2)));
     let noise = middle(&|found| found.noise.powi(2) + found.noise_of_truth.powi(2));
     let usual = (middle(&|found| found.difference.powi(2)) / MEDIAN_SQUARE - noise).max(0.0);
     let error = |found: &Found| found.error(usual * scale(found).powi(2));
@@ -240,6 +289,10 @@ fn set_of(all: &[&Found]) -> Option<(SeenSet, PlacesSeen)> {
         let sum: f64 = lit.iter().map(|found| square(found) / scale(found).powi(2)).sum();
         (sum / lit.len() as f64).max(0.0).sqrt()
     };
+    let part_to_bands = |square: &dyn Fn(&Found, &ToBands) -> f64| {
+        let sum: f64 = precise.iter().map(|(found, own)| square(found, own) / scale(found).powi(2)).sum();
+        (sum / precise.len().max(1) as f64).max(0.0).sqrt()
+    };
     let set = SeenSet {
         places: lit.len() as u64,
         error: SeenErrors::of(lit.iter().map(|found| relative(found)))?,
@@ -247,8 +300,8 @@ fn set_of(all: &[&Found]) -> Option<(SeenSet, PlacesSeen)> {
         worst: worst.position.to_array(),
         parts: SeenParts {
             noise: part(&|found| found.noise.powi(2)),
-            between: part(&|found| found.between.powi(2) - found.noise.powi(2) - found.noise_here.powi(2)),
-            bands: part(&|found| found.bands.powi(2) - found.noise_of_truth.powi(2) - found.noise_here.powi(2)),
+            between: part_to_bands(&|found, own| own.between.powi(2) - found.noise.powi(2) - own.noise.powi(2)),
+            bands: part_to_bands(&|found, own| own.left_out.powi(2) - found.noise_of_truth.powi(2) - own.noise.powi(2)),
             packing: part(&|found| found.packing.powi(2)),
             systematic: part(&|found| (found.systematic * scale(found)).powi(2)),
         },
@@ -308,14 +361,11 @@ mod tests {
             let difference = (own + normal(stream.point(i, 1)) * noise_of_truth).abs();
             let found = Found {
                 position: DVec3::ZERO,
-                in_the_air: true,
                 light: 1.0,
                 difference,
                 noise_of_truth,
-                noise_here: 0.0,
                 noise,
-                between: 0.0,
-                bands: 0.0,
+                to_bands: (i % PRECISE as u32 == 0).then_some(ToBands { noise: 0.0, between: 0.0, left_out: 0.0 }),
                 packing: 0.0,
                 systematic: 0.0,
             };
@@ -337,7 +387,7 @@ mod tests {
         for (name, size) in sizes {
             for (noise, noise_of_truth) in [(0.0055, 0.007), (0.003, 0.007), (0.0055, 0.01)] {
                 let (found, own) = found(noise, noise_of_truth, size);
-                let said = set_of(&found.iter().collect::<Vec<_>>()).expect("places that are lit").0.error;
+                let said = set_of(&found).expect("places that are lit").0.error;
                 let own = SeenErrors::of(own.into_iter()).expect("as many");
                 for (which, said, is) in [("median", said.median, own.median), ("95 %", said.p95, own.p95)] {
                     let ratio = said / is;

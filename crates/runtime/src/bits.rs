@@ -97,16 +97,87 @@ pub fn pack_bits(bytes: &[u8], layout: Layout) -> Vec<u8> {
         1 => bytes[place].into(),
         _ => u16::from_le_bytes([bytes[2 * place], bytes[2 * place + 1]]),
     };
-    let shift = (0..elements * planes).fold(0, |all, place| all | element(place)).trailing_zeros() % 16;
-    let flags = shift as u8 | u8::from(element_size == 2) << 5;
-    let number = |plane: usize, place: usize| element(plane * elements + place) >> shift;
-    let plain = pack_numbers(flags, planes, elements, number);
-    // Of each number what it is more than the one before it.
-    let folded = pack_numbers(flags | 1 << 4, planes, elements, |plane, place| {
-        let before = if place == 0 { 0 } else { number(plane, place - 1) };
-        fold(number(plane, place).wrapping_sub(before) as i16)
+    pack_blocks(element_size, planes, elements, &mut |each| {
+        for first in (0..elements).step_by(BLOCK) {
+            let count = BLOCK.min(elements - first);
+            for plane in 0..planes {
+                let mut block = [0; BLOCK];
+                let own = block.iter_mut().zip(first..first + count);
+                own.for_each(|(found, place)| *found = element(plane * elements + place));
+                each(plane, &mut block[..count]);
+            }
+        }
+    })
+}
+
+/// Calls back with every block of elements, one plane of it after the other, in order. The callee may change them.
+pub(crate) type EachBlock<'a> = dyn FnMut(&mut dyn FnMut(usize, &mut [u16])) + 'a;
+
+/// Packs what `blocks` gives, the same each time: twice to know how, and once more to do it. So there need be no place where all
+/// elements are.
+pub(crate) fn pack_blocks(element_size: usize, planes: usize, elements: usize, blocks: &mut EachBlock<'_>) -> Vec<u8> {
+    let mut all = 0;
+    let mut how = How { shift: 0, differences: false, before: vec![0; planes] };
+    let mut sizes = size_of(&mut how, &mut all, blocks);
+    let shift = if elements == 0 { 0 } else { all.trailing_zeros() % 16 };
+    if shift > 0 {
+        how.shift = shift;
+        sizes = size_of(&mut how, &mut all, blocks);
+    }
+    let [plain, folded] = sizes;
+    how.differences = folded < plain;
+    let mut bytes = Vec::with_capacity(HEAD_SIZE + plain.min(folded) + TAIL_SIZE);
+    bytes.extend([shift as u8 | u8::from(how.differences) << 4 | u8::from(element_size == 2) << 5, planes as u8]);
+    how.before.fill(0);
+    blocks(&mut |plane, block| {
+        how.apply(plane, block);
+        pack_block(block, &mut bytes);
     });
-    if folded.len() < plain.len() { folded } else { plain }
+    bytes.extend([0; TAIL_SIZE]);
+    bytes
+}
+
+/// How elements become numbers.
+struct How {
+    shift: u32,
+    differences: bool,
+    /// Of each plane.
+    before: Vec<u16>,
+}
+
+impl How {
+    fn apply(&mut self, plane: usize, block: &mut [u16]) {
+        for element in block {
+            let number = *element >> self.shift;
+            let before = core::mem::replace(&mut self.before[plane], number);
+            // Of each number what it is more than the one before it.
+            *element = if self.differences { fold(number.wrapping_sub(before) as i16) } else { number };
+        }
+    }
+}
+
+/// Bytes of all blocks as they are and as differences. Adds all elements' bits to `all`.
+fn size_of(how: &mut How, all: &mut u16, blocks: &mut EachBlock<'_>) -> [usize; 2] {
+    let mut sizes = [0; 2];
+    let mut packed = Vec::new();
+    let mut size = |block: &[u16]| {
+        packed.clear();
+        pack_block(block, &mut packed);
+        packed.len()
+    };
+    how.before.fill(0);
+    blocks(&mut |plane, block| {
+        block.iter().for_each(|element| *all |= element);
+        how.differences = true;
+        let mut folded = [0; BLOCK];
+        let folded = &mut folded[..block.len()];
+        folded.copy_from_slice(block);
+        how.apply(plane, folded);
+        block.iter_mut().for_each(|element| *element >>= how.shift);
+        sizes[0] += size(block);
+        sizes[1] += size(folded);
+    });
+    sizes
 }
 
 /// 0, -1, 1, -2, … become 0, 1, 2, 3, ….
@@ -117,20 +188,6 @@ pub(crate) fn fold(difference: i16) -> u16 {
 /// Undoes [`fold`].
 fn unfold(folded: u16) -> u16 {
     folded >> 1 ^ (folded & 1).wrapping_neg()
-}
-
-fn pack_numbers(flags: u8, planes: usize, elements: usize, number: impl Fn(usize, usize) -> u16) -> Vec<u8> {
-    let mut bytes = vec![flags, planes as u8];
-    let mut block = [0; BLOCK];
-    for first in (0..elements).step_by(BLOCK) {
-        let block = &mut block[..BLOCK.min(elements - first)];
-        for plane in 0..planes {
-            block.iter_mut().enumerate().for_each(|(place, found)| *found = number(plane, first + place));
-            pack_block(block, &mut bytes);
-        }
-    }
-    bytes.extend([0; TAIL_SIZE]);
-    bytes
 }
 
 /// Appends a block in the fewest bytes.

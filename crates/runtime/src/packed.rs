@@ -195,20 +195,50 @@ fn rounded(value: f64) -> i16 {
 pub fn numbers_to_bytes(nodes: usize, count: usize, mut numbers_of: impl FnMut(usize, &mut [i16])) -> Vec<u8> {
     let mut bytes = vec![0; 2 * nodes * count];
     let elements = bytes.as_chunks_mut::<2>().0;
-    let (mut before, mut numbers) = ([0i16; MAX_NUMBERS], [0i16; MAX_NUMBERS]);
-    for node in 0..nodes {
-        let numbers = &mut numbers[..count];
+    each_element(0..nodes, &mut [0; MAX_NUMBERS][..count], &mut numbers_of, |node, plane, element| {
+        elements[plane * nodes + node] = element.to_le_bytes();
+    });
+    bytes
+}
+
+/// The same section in packed bits, as [`pack_bits`](bits::pack_bits) makes them of those bytes, which are nowhere: they are 4 times as
+/// many. Asks for all nodes some times over, in order.
+pub fn numbers_to_bits(nodes: usize, count: usize, mut numbers_of: impl FnMut(usize, &mut [i16])) -> Vec<u8> {
+    let mut block = vec![0; count * BLOCK];
+    bits::pack_blocks(2, count, nodes, &mut |each| {
+        let mut before = [0; MAX_NUMBERS];
+        for first in (0..nodes).step_by(BLOCK) {
+            let end = nodes.min(first + BLOCK);
+            each_element(first..end, &mut before[..count], &mut numbers_of, |node, plane, element| {
+                block[plane * BLOCK + node - first] = element;
+            });
+            for (plane, elements) in block.chunks_exact_mut(BLOCK).enumerate() {
+                each(plane, &mut elements[..end - first]);
+            }
+        }
+    })
+}
+
+/// Calls `then` with nodes, planes and elements: what each number is more than the same one of the node before, folded. `before` are
+/// the numbers of the node before the first, and become those of the last.
+fn each_element(
+    nodes: Range<usize>,
+    before: &mut [i16],
+    numbers_of: &mut impl FnMut(usize, &mut [i16]),
+    mut then: impl FnMut(usize, usize, u16),
+) {
+    let mut numbers = [0i16; MAX_NUMBERS];
+    for node in nodes {
+        let numbers = &mut numbers[..before.len()];
         numbers_of(node, numbers);
         let is_dark = numbers[0] < 1;
-        for (plane, (&number, before)) in numbers.iter().zip(&mut before).enumerate() {
+        for (plane, (&number, before)) in numbers.iter().zip(&mut *before).enumerate() {
             // In the dark all numbers but the code may be what they want: the node before's.
             let number = if is_dark && plane > 0 { *before } else { number };
-            let difference = number.wrapping_sub(*before);
-            elements[plane * nodes + node] = fold(difference).to_le_bytes();
+            then(node, plane, fold(number.wrapping_sub(*before)));
             *before = number;
         }
     }
-    bytes
 }
 
 /// Section `RSH ` as it is stored: where its numbers come from, block by block and plane by plane.
@@ -521,6 +551,28 @@ mod tests {
         // As a rule much less than at most.
         let typical = (total[0] / total[1]).sqrt();
         assert!(typical < (0.0008f64.powi(2) + 27.0 * 3.4e-3f64.powi(2) / 12.0).sqrt(), "{typical}");
+    }
+
+    #[test]
+    fn bits_without_bytes_between_are_those_of_the_bytes() {
+        let mut state = 5;
+        for nodes in [0, 1, 127, 128, 129, 1000] {
+            for (count, shift) in [(4, 0), (28, 0), (28, 2)] {
+                let all: Vec<i16> =
+                    (0..nodes * count).map(|_| ((random(&mut state) * 900.0) as i16) << shift).collect();
+                // Some nodes are dark.
+                let numbers_of = |node: usize, numbers: &mut [i16]| {
+                    numbers.copy_from_slice(&all[node * count..][..count]);
+                    numbers[0] *= i16::from(node % 7 > 0);
+                };
+                let bytes = numbers_to_bytes(nodes, count, numbers_of);
+                let layout = bits::Layout { element_size: 2, planes: count };
+                assert!(
+                    numbers_to_bits(nodes, count, numbers_of) == bits::pack_bits(&bytes, layout),
+                    "{nodes} {count}"
+                );
+            }
+        }
     }
 
     #[test]

@@ -152,15 +152,54 @@ impl Volume {
         if let (Coefficients::F16(all), Kind::Grid | Kind::Sparse) = (&self.coefficients, self.header.kind) {
             let (nodes, weights, _) = self.weights([x, y, z], [u, v, w]);
             if !self.any_subnormal(&nodes) {
-                let rows = rows_of::<W>(all, &nodes);
-                return irradiance(
-                    &blend_plain(&rows, &times_2_to_112(weights)),
-                    &factors::<W, V>([u, v, w]),
-                    self.scale,
-                );
+                return self.irradiance_of_rows::<W, V>(all, &nodes, weights, [u, v, w]);
             }
         }
         self.irradiance_of_sample(x, y, z, u, v, w)
+    }
+
+    /// Of nodes without subnormal numbers.
+    #[inline(always)]
+    fn irradiance_of_rows<const W: usize, const V: usize>(
+        &self,
+        all: &[u32],
+        nodes: &[u32; 8],
+        weights: [f32; 8],
+        normal: [f32; 3],
+    ) -> [f32; 3] {
+        let rows = rows_of::<W>(all, nodes);
+        irradiance(&blend_plain(&rows, &times_2_to_112(weights)), &factors::<W, V>(normal), self.scale)
+    }
+
+    /// The nodes that [`sample_f64`](Volume::sample_f64) blends at a position, and their weights, which add up to 1; None for points
+    /// and vertices. [`cell`](Volume::cell) knows no walls, and no node that was not baked.
+    pub fn blended_nodes(&self, position: [f64; 3], normal: [f32; 3]) -> Option<([u32; 8], [f32; 8])> {
+        let is_grid = matches!(self.header.kind, Kind::Grid | Kind::Sparse);
+        is_grid.then(|| self.weights(position, normal)).map(|(nodes, weights, _)| (nodes, weights))
+    }
+
+    /// What falls on a surface in the light of these nodes with these weights: as [`irradiance_f64`](Volume::irradiance_f64) at the
+    /// position that they are of, in a volume that may hold other nodes beside.
+    ///
+    /// # Panics
+    /// If there is no such node.
+    pub fn irradiance_of_nodes(&self, nodes: &[u32; 8], weights: [f32; 8], normal: [f32; 3]) -> [f32; 3] {
+        if let Coefficients::F16(all) = &self.coefficients
+            && cfg!(feature = "fast")
+            && !self.any_subnormal(nodes)
+        {
+            return match self.header.bands {
+                0 => self.irradiance_of_rows::<2, 1>(all, nodes, weights, normal),
+                1 => self.irradiance_of_rows::<6, 3>(all, nodes, weights, normal),
+                2 => self.irradiance_of_rows::<14, 7>(all, nodes, weights, normal),
+                3 => self.irradiance_of_rows::<24, 12>(all, nodes, weights, normal),
+                _ => self.irradiance_of_rows::<38, 19>(all, nodes, weights, normal),
+            };
+        }
+        let mut sh = RadianceSh::zero(self.header.bands);
+        let count = self.header.values_per_node();
+        self.blend(nodes, &weights, &mut sh.coefficients.as_flattened_mut()[..count]);
+        sh.convolve().evaluate(normal)
     }
 
     /// The point or vertex that [`sample_f64`](Volume::sample_f64) answers with, however far it is; None in a grid, which

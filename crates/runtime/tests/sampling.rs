@@ -53,6 +53,18 @@ fn trilinear_reproduces_a_linear_field_in_all_bands_and_encodings() {
 }
 
 #[test]
+fn nodes_that_are_blended_give_the_irradiance_of_their_position() {
+    for file in arbitrary_grids() {
+        let volume = parse(&file);
+        for position in positions() {
+            let (nodes, weights) = volume.blended_nodes(position.map(f64::from), UP).expect("it is a grid");
+            assert_eq!(volume.irradiance_of_nodes(&nodes, weights, UP), volume.irradiance(position, UP));
+        }
+    }
+    assert_eq!(parse(&small_points()).blended_nodes([0.0; 3], UP), None);
+}
+
+#[test]
 fn a_sample_at_a_node_is_the_node() {
     let volume = parse(&grid([4, 3, 2], 2, 1, 0.5).radiance(pattern));
     for node in 0..volume.node_count() {

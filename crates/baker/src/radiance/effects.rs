@@ -6,6 +6,7 @@
 //! texel fills much of the view asks for the same one again and again: that one is filled a second time, by more walks, and
 //! those read the few of the others.
 
+use bincode::{Decode, Encode};
 use glam::{Vec2, Vec3};
 use std::sync::OnceLock;
 
@@ -57,6 +58,18 @@ pub struct Texel {
     cuts: u32,
 }
 
+/// A texel that is filled.
+#[derive(Debug, Clone, Copy, PartialEq, Encode, Decode)]
+pub struct Filled {
+    triangle: u32,
+    back: bool,
+    /// Its number within the triangle.
+    index: u32,
+    is_near: bool,
+    /// Of each part.
+    effect: [[f32; 3]; PARTS as usize],
+}
+
 impl EffectCache {
     /// Empty texels for all triangles of `environment`.
     pub fn new(environment: &Surfaces, walks: u32) -> EffectCache {
@@ -64,6 +77,52 @@ impl EffectCache {
         let (min, max) = all().fold((Vec3::MAX, Vec3::MIN), |(min, max), c| (min.min(*c), max.max(*c)));
         let sides = (0..environment.len()).map(|_| Default::default()).collect();
         EffectCache { edge: (max - min).max_element() * TEXEL, walks, sides }
+    }
+
+    /// Subdivisions of a triangle's edges.
+    fn cuts(&self, environment: &Surfaces, triangle: u32) -> u32 {
+        let [a, b, c] = *environment.corners(triangle);
+        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        ((longest / self.edge).ceil() as u32).clamp(1, MOST_CUTS)
+    }
+
+    fn slots(&self, triangle: u32, back: bool, cuts: u32) -> &[Slot] {
+        let side = &self.sides[triangle as usize][usize::from(back)];
+        side.get_or_init(|| (0..2 * cuts * cuts).map(|_| Slot::default()).collect())
+    }
+
+    /// All texels that are filled.
+    pub fn filled(&self) -> Vec<Filled> {
+        let mut all = Vec::new();
+        let sides = (0..)
+            .zip(&self.sides)
+            .flat_map(|(triangle, sides)| [(triangle, false), (triangle, true)].into_iter().zip(sides));
+        for ((triangle, back), side) in sides {
+            for (index, slot) in (0..).zip(side.get().into_iter().flatten()) {
+                let purposes = [(false, slot.far.get()), (true, slot.near.get().map(Box::as_ref))];
+                all.extend(purposes.into_iter().filter_map(|(is_near, parts)| {
+                    let effect = parts?.map(|part| part.to_array());
+                    Some(Filled { triangle, back, index, is_near, effect })
+                }));
+            }
+        }
+        all
+    }
+
+    /// Fills texels as another run has found them. What is no texel here is left out.
+    pub fn fill(&self, environment: &Surfaces, all: &[Filled]) {
+        for Filled { triangle, back, index, is_near, effect } in all {
+            if (*triangle as usize) < self.sides.len() {
+                let slots = self.slots(*triangle, *back, self.cuts(environment, *triangle));
+                let parts: Parts = effect.map(Vec3::from);
+                // One that is filled has the same.
+                match slots.get(*index as usize) {
+                    Some(slot) if *is_near => _ = slot.near.set(Box::new(parts)),
+                    Some(slot) => _ = slot.far.set(parts),
+                    None => {}
+                }
+            }
+        }
     }
 
     /// The effect at `hit`, by the walks for one replicate or, with `None`, by all. `distance`: of who looks, infinite
@@ -77,12 +136,9 @@ impl EffectCache {
         fill: impl FnOnce(Texel) -> Parts,
     ) -> Vec3 {
         let [a, b, c] = *environment.corners(hit.triangle);
-        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
-        let cuts = ((longest / self.edge).ceil() as u32).clamp(1, MOST_CUTS);
-        let side = &self.sides[hit.triangle as usize][usize::from(hit.back)];
-        let texels = side.get_or_init(|| (0..2 * cuts * cuts).map(|_| Slot::default()).collect());
+        let cuts = self.cuts(environment, hit.triangle);
         let index = texel_at(hit.barycentric, cuts);
-        let slot = &texels[index as usize];
+        let slot = &self.slots(hit.triangle, hit.back, cuts)[index as usize];
         // Of twice the area: that of a square.
         let square = (b - a).cross(c - a).length() / (cuts * cuts) as f32;
         let parts = if distance * distance < NEAR.powi(2) * square {

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use super::blend::{BlendRule, View};
 use super::candidates::{Candidate, Lookers, pixel_size};
-use super::effects::{EffectCache, PARTS, Texel};
+use super::effects::{EffectCache, Filled, PARTS, Texel};
 use super::guide::{Distant, Emitter, Emitters, Guide, Receiver, Regions, Sky, bright_regions, bright_triangles};
 use super::lamps::Lamps;
 use super::path::{First, Path, PathSettings};
@@ -227,6 +227,11 @@ pub struct Gdibl<'a> {
 
 /// Points in a row that are compared with paths together.
 const COMPARED_TOGETHER: usize = 16;
+/// Texels of effects that are kept together: 4 MB.
+const TEXELS_TOGETHER: usize = 1 << 16;
+/// Effects are looked for by a ray for so many that nodes will send, and by so many at most: a texel of a room is met by some 20.
+const DIRECTIONS_PER_LOOK: u64 = 128;
+const MOST_LOOKS: u64 = 1 << 16;
 
 /// Paths for where no probe counts.
 #[derive(Debug)]
@@ -407,7 +412,7 @@ impl<'a> Gdibl<'a> {
         let mut choice = UnseenChoice::fill("no environment geometry");
         let leave = |choice: UnseenChoice, why: &str| (UnseenChoice { why: why.into(), ..choice }, None);
         let Some(environment) = &self.environment else { return (choice, None) };
-        let (met, seen) = self.look_around(places);
+        let (met, seen) = self.look_around_by(places, blocks);
         choice.unseen_share = if met > 0 { 1.0 - seen.len() as f64 / met as f64 } else { 0.0 };
         if self.scene.materials_left_out {
             let why = "the level's materials were not read: paths need all textures (TextureNeeds::All)";
@@ -459,6 +464,49 @@ impl<'a> Gdibl<'a> {
         };
         let tracer = (choice.traced || choice.trusted).then_some(Tracer { gain: agreement.gain, ..tracer });
         (choice, tracer)
+    }
+
+    /// [`look_around`](Gdibl::look_around). What it finds of the effects of objects, which takes nearly all of its time, is kept in `blocks`.
+    fn look_around_by(&self, places: &[DVec3], blocks: Option<&dyn Blocks>) -> (usize, Vec<(Hit, Vec3)>) {
+        let (Some(effects), Some(environment)) = (&self.effects, &self.environment) else {
+            return self.look_around(places);
+        };
+        let look = || {
+            self.look_for_effects(places);
+            self.look_around(places)
+        };
+        if blocks.is_none() {
+            return look();
+        }
+        let pass = Pass::of(blocks, PassKind::Shared);
+        let mut looked = None;
+        for block in 0.. {
+            let find = || {
+                looked.get_or_insert_with(look);
+                Ok(effects.filled().into_iter().skip(block * TEXELS_TOGETHER).take(TEXELS_TOGETHER).collect())
+            };
+            let found: Option<Vec<Filled>> = pass.block(block, |_| true, find).ok().flatten();
+            let found = found.expect("every run looks around, and nothing interrupts it");
+            effects.fill(environment, &found);
+            if found.len() < TEXELS_TOGETHER {
+                break;
+            }
+        }
+        looked.unwrap_or_else(|| self.look_around(places))
+    }
+
+    /// Finds the effects of objects where many rays will ask for them: what nodes find on their way each shard would find again.
+    fn look_for_effects(&self, places: &[DVec3]) {
+        let environment = self.environment.as_ref().expect("asked only with one");
+        let looks = if places.is_empty() { 0 } else { self.settings.directions / DIRECTIONS_PER_LOOK };
+        let stream = Stream::new(Sampler::Sobol, self.settings.seed, streams::AGREEMENT, 0);
+        (0..looks.min(MOST_LOOKS) as u32).into_par_iter().for_each(|number| {
+            let origin = self.frame.to_trace(places[number as usize % places.len()]);
+            let direction = uniform_sphere(stream.point(number, 0));
+            if let Some(hit) = environment.shown(self.scene, origin, direction, f32::INFINITY) {
+                self.effect(&hit, Walk::default(), &mut PathContext::new(stream));
+            }
+        });
     }
 
     /// How many surface points rays from these places meet, and those of them that probes count at, with what they show.

@@ -155,7 +155,7 @@ fn laws(table: &mut Table) {
         for offset in [0.0, 1e4, 1e6] {
             let offset = DVec3::new(offset, -offset, offset / 3.0);
             let placement = Placement { scale, rotation: DQuat::IDENTITY, offset };
-            same = same.max(difference(&bake_placed(&placement, &uniform).sh, &reference.sh));
+            same = same.max(difference(&bake_placed(&placement, &uniform).sh.to_vec(), &reference.sh.to_vec()));
             let moved = bake_placed(&placement, &USUAL);
             default = default.max(error_of(&moved, |node| sh_of(&usual, node)).relative_rmse);
         }
@@ -193,7 +193,7 @@ fn laws(table: &mut Table) {
         let sky = distant(panorama(32, |d| [1.5 + d.y, 1.0, 1.0 + d.x * d.z].map(|v| v * scale)));
         let mut open = scene.clone();
         remove_ceiling(&mut open);
-        bake_points(&gdibl(&open, &probes, Some(&sky)), &places(), &USUAL).sh
+        bake_points(&gdibl(&open, &probes, Some(&sky)), &places(), &USUAL).sh.to_vec()
     };
     let unit = scaled(1.0);
     let change = [1e-6f32, 1e6].map(|scale| {
@@ -752,7 +752,7 @@ fn strange_images(table: &mut Table) {
     let (baked, truth) = bake_sky(panorama(128, |d| [d.x, d.y, d.z].map(|t| 10f32.powf(6.0 * t))));
     table.at_most("1e-6 to 1e6 in one image", "relative RMSE of E", 0.01, error_of(&baked, |_| truth).relative_rmse);
     let (baked, _) = bake_sky(panorama(16, |_| [0.0; 3]));
-    let black = baked.sh.iter().all(|v| *v == 0.0) && baked.is_all_valid() && baked.relative_error == [0.0; 8];
+    let black = baked.sh.to_vec().iter().all(|v| *v == 0.0) && baked.is_all_valid() && baked.relative_error == [0.0; 8];
     table.row("all black", "E = 0, valid, no error", if black { "so" } else { "not so" }, black);
 
     let mut worst = (0.0f64, [0, 0]);
@@ -1062,9 +1062,11 @@ fn statistics(table: &mut Table) {
         let all: Vec<Baked> = (0..seeds).map(of).collect();
         // The mean over seeds; each deviates from it by a little less than from the truth.
         let mut mean = all[0].clone();
-        for (i, value) in mean.sh.iter_mut().enumerate() {
-            *value = (all.iter().map(|baked| f64::from(baked.sh[i])).sum::<f64>() / seeds as f64) as f32;
-        }
+        mean.sh.update(|node, values| {
+            for (i, value) in values.iter_mut().enumerate() {
+                *value = (all.iter().map(|baked| f64::from(baked.node(node)[i])).sum::<f64>() / seeds as f64) as f32;
+            }
+        });
         let (mut claimed, mut found) = (0.0, 0.0);
         for baked in &all {
             for (node, error) in standard_errors(baked).into_iter().enumerate() {
@@ -1111,7 +1113,7 @@ fn limits(table: &mut Table) {
     let (scene, probes) = (room_with_pillar(), coloured_probes());
     let function = gdibl(&scene, &probes, None);
     let one = bake_points(&function, &places(), &BakeSettings { samples: 1, ..SMALL });
-    let finite = one.sh.iter().all(|v| v.is_finite());
+    let finite = one.sh.to_vec().iter().all(|v| v.is_finite());
     let unknown = one.valid_nodes().all(|node| one.relative_error[node] == f32::INFINITY);
     table.row(
         "1 sample",
@@ -1129,7 +1131,7 @@ fn limits(table: &mut Table) {
         "2^24 samples on one node",
         "finite; 2^18 differ by ≤ 3.18 of their standard errors",
         &format!("{difference:.1e} for a standard error of {claimed:.1e}, then {more:.1e}; {seconds:.0} s"),
-        most.sh.iter().all(|v| v.is_finite()) && difference <= 3.18 * claimed && more < claimed,
+        most.sh.to_vec().iter().all(|v| v.is_finite()) && difference <= 3.18 * claimed && more < claimed,
     );
     let settings = BakeSettings { samples: 4096, target_error: Some(1e-6), ..SMALL };
     let capped = bake_points(&function, &places(), &settings);
@@ -1164,7 +1166,7 @@ fn program(table: &mut Table, settings: &BakeSettings) {
         let text = String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or_default().to_string();
         (output.status.code(), text, folder.0.join("out.gdibl").exists())
     };
-    let gib = |nodes: u64| memory_needed(nodes, settings) as f64 / f64::from(1 << 30);
+    let gib = |nodes: u64| memory_needed(nodes, settings, true) as f64 / f64::from(1 << 30);
     for (case, arguments, nodes) in [
         ("1e8 nodes, --max-memory 8", "--counts 500,500,400 --max-memory 8", 100_000_000),
         ("1e12 nodes", "--counts 10000,10000,10000", 1_000_000_000_000),

@@ -244,7 +244,7 @@ impl Errors {
     fn add(&mut self, truth: &Baked, (baked, cpu): (Baked, f64)) {
         self.cpu.push(cpu);
         let pairs: Vec<Vec<[f64; 2]>> =
-            (0..truth.len()).map(|node| pairs_of(baked.node(node), truth.node(node))).collect();
+            (0..truth.len()).map(|node| pairs_of(&baked.node(node), &truth.node(node))).collect();
         let mean_square = |pairs: &[[f64; 2]], of: fn(&[f64; 2]) -> f64| {
             pairs.iter().map(|pair| of(pair).powi(2)).sum::<f64>() / pairs.len() as f64
         };

@@ -126,8 +126,8 @@ fn main() {
 /// Sums over 26 directions and channels: of the squared difference of E, and of the squared truth.
 fn squares(baked: &Baked, truth: &Baked, node: usize) -> (f64, f64) {
     let irradiance = |baked: &Baked| {
-        let values = baked.node(node).chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2]]);
-        radiance_sh(baked.bands, values).convolve()
+        let values = baked.node(node);
+        radiance_sh(baked.bands, values.chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2]])).convolve()
     };
     let (found, expected) = (irradiance(baked), irradiance(truth));
     let directions = fibonacci_sphere(26).into_iter().map(|d| d.to_array());

@@ -241,8 +241,8 @@ pub fn read_places(files: &dyn Files, path: &Path) -> Result<Places, Fault> {
 /// What a bake may take: what was asked for, or what the machine has free.
 pub fn memory_of(settings: &Settings) -> Memory {
     match settings.quality.max_memory {
-        Some(gib) => Memory { bytes: gib * f64::from(1 << 30), is_asked: true },
-        None => Memory { bytes: memory_available().unwrap_or(f64::INFINITY), is_asked: false },
+        Some(gib) => Memory { bytes: gib * f64::from(1 << 30), is_asked: true, is_paged: true },
+        None => Memory { bytes: memory_available().unwrap_or(f64::INFINITY), is_asked: false, is_paged: true },
     }
 }
 

@@ -27,6 +27,8 @@ use crate::say::say;
 const MAGIC: &[u8; 8] = b"GDIBLPA1";
 /// No block is larger.
 const MOST_BYTES: u32 = 64 << 20;
+/// Larger tables of what nodes came to go to a file without a name, beside the output.
+const MOST_IN_MEMORY: u64 = 64 << 20;
 /// The pass of the record that ends a shard.
 const END: u32 = u32::MAX;
 /// No pass has this number.
@@ -82,9 +84,9 @@ type Share = Box<dyn FnOnce(Vec<u8>) + Send>;
 /// Where the bytes of a block are.
 #[derive(Debug, Clone, Copy)]
 struct Place {
-    file: usize,
-    offset: u64,
+    file: u32,
     length: u32,
+    offset: u64,
 }
 
 /// Blocks in files: the own journal, to which new ones go, and shards.
@@ -208,7 +210,7 @@ impl Journal {
         let map = self.known.get_mut().unwrap_or_else(PoisonError::into_inner);
         for ShardBlocks { file, blocks, .. } in shards {
             self.shards.push(Mutex::new(file));
-            let file = self.shards.len();
+            let file = self.shards.len() as u32;
             map.extend(blocks.into_iter().map(|(id, offset, length)| (id, Place { file, offset, length })));
         }
     }
@@ -290,7 +292,7 @@ impl Journal {
         let place = *self.known.lock().unwrap_or_else(PoisonError::into_inner).get(&id)?;
         let file = match place.file {
             0 => &self.own.as_ref()?.0,
-            shard => &self.shards[shard - 1],
+            shard => &self.shards[shard as usize - 1],
         };
         let mut bytes = vec![0; place.length as usize + 16];
         let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
@@ -353,6 +355,14 @@ impl Blocks for Journal {
         let stops = (self.shard.is_some() || self.only_shared) && pass == self.divided.load(Ordering::Relaxed);
         self.is_done.fetch_or(stops, Ordering::Relaxed);
         !stops
+    }
+
+    fn scratch(&self, bytes: u64) -> Option<File> {
+        let (_, path) = self.own.as_ref().filter(|_| bytes > MOST_IN_MEMORY)?;
+        let folder = if path.is_dir() { path } else { path.parent()? };
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        // Where none can be made, memory has to do.
+        tempfile::tempfile_in(folder).ok()
     }
 }
 

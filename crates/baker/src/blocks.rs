@@ -13,6 +13,7 @@
 //! One shard of a bake finds all blocks of the shared passes and its own of the first split one, and stops there.
 
 use bincode::{Decode, Encode};
+use std::fs::File;
 
 /// Which block of which pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -46,6 +47,10 @@ pub trait Blocks: Sync {
     fn count(&self, found: &[Found]) -> u64;
     /// All blocks of a pass are done that this run has to do. `false`: the run is to stop here.
     fn end(&self, pass: u32) -> bool;
+    /// An empty file, to be read and written, for a table of so many bytes. `None`: it is to be held in memory.
+    fn scratch(&self, _bytes: u64) -> Option<File> {
+        None
+    }
 }
 
 /// Something that is found once and remembered: a place on a surface, by its number.
@@ -83,5 +88,9 @@ impl Blocks for AllShared<'_> {
 
     fn end(&self, pass: u32) -> bool {
         self.0.end(pass)
+    }
+
+    fn scratch(&self, bytes: u64) -> Option<File> {
+        self.0.scratch(bytes)
     }
 }

@@ -56,6 +56,7 @@ pub mod pack;
 pub mod panorama;
 pub mod radiance;
 pub mod render;
+pub mod rows;
 pub mod sampling;
 pub mod scene;
 pub mod seen;

@@ -8,7 +8,7 @@ use gdibl_baker::analyse::Truth;
 use gdibl_baker::analyse::study::{Capture, Cost, Measured, Repeat, Seen, measure};
 use gdibl_baker::capture::{CaptureSettings, capture};
 use gdibl_baker::job::records::SeenRecord;
-use gdibl_baker::job::{self, Inputs, Job, Settings, Stage, Watch, as_read, check_valid};
+use gdibl_baker::job::{self, Inputs, Job, Settings, Stage, Watch, bytes_of_light, check_valid};
 use gdibl_baker::pack::volume_of;
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::sampling::Sampler;
@@ -133,8 +133,9 @@ impl Runner<'_> {
         };
         check_valid(&baked).map_err(Fault::Bound)?;
         let nodes = self.job.nodes();
-        let (file, bytes) = as_read(nodes, &baked, &settings);
-        let seen = self.between.as_ref().and_then(|between| seen_of(&between.errors(nodes, &baked, &file).0));
+        let bytes = bytes_of_light(nodes, &baked, &settings);
+        let seen = self.between.as_ref();
+        let seen = seen.and_then(|between| seen_of(&between.errors(nodes, &baked, settings.pack()).0));
         Ok(Repeat { volume: volume_of(nodes, &baked), cost, seen, bytes })
     }
 

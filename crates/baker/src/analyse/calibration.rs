@@ -33,13 +33,14 @@ pub fn calibrate(converged: &Baked, bakes: &[Baked]) -> Calibration {
     for node in (0..converged.len()).filter(|&node| converged.is_valid(node) && bakes.iter().all(|b| b.is_valid(node)))
     {
         let (mut own_found, mut own_light) = (0.0, 0.0);
+        let truths = converged.node(node);
         for place in node * stride..(node + 1) * stride {
             let cosine = f64::from(sh::COSINE[sh::band_of((place - node * stride) / 3)]);
-            let truth = f64::from(converged.sh[place]);
+            let truth = f64::from(truths[place - node * stride]);
             own_light += (cosine * truth).powi(2);
             for bake in bakes {
                 let error = f64::from(bake.coefficient_error[place]);
-                let off = (f64::from(bake.sh[place]) - truth).abs();
+                let off = (f64::from(bake.node(node)[place - node * stride]) - truth).abs();
                 covered += u64::from(off <= INTERVAL_95 * error);
                 values += 1;
                 own_found += (cosine * off).powi(2) / bakes.len() as f64;

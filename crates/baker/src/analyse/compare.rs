@@ -422,6 +422,7 @@ mod tests {
     use crate::analyse::{choose_sets, radiance_sh};
     use crate::bake::{Baked, Nodes, Standing, grid_of_counts};
     use crate::pack::volume_of as volume;
+    use crate::rows::Table;
     use glam::{DVec3, Vec3};
 
     /// L0 and L1, linear in the position: a grid reproduces it between its nodes.
@@ -435,7 +436,7 @@ mod tests {
         let values = (0..count).flat_map(|i| light(nodes.position(i)).coefficients[..4].to_vec()).flatten();
         Baked {
             bands: 1,
-            sh: values.collect(),
+            sh: Table::held(12, values.collect()),
             standing: vec![Standing::Open; count],
             moved: Vec::new(),
             walls: None,
@@ -480,8 +481,8 @@ mod tests {
         for nodes in [grid([3, 4, 5]), grid([1, 1, 1]), points(&twice), vertices] {
             // Two nodes at one place may differ.
             let mut baked = baked(&nodes, 0.01);
-            baked.sh[0] += 0.5;
-            *baked.sh.last_mut().unwrap() += 0.5;
+            let last = nodes.len() - 1;
+            baked.sh.update(|node, values| values[0] += if node == 0 || node == last { 0.5 } else { 0.0 });
             let volume = volume(&nodes, &baked);
             let comparison = compared(&volume, &volume);
             assert_eq!(comparison.places.compared, nodes.len());
@@ -522,12 +523,12 @@ mod tests {
         };
         let nodes = at(&[Vec3::X, Vec3::Y]);
         let mut up = baked(&nodes, 0.01);
-        up.sh[12..].iter_mut().for_each(|v| *v *= 2.0);
+        up.sh.update(|node, values| values.iter_mut().for_each(|v| *v *= if node == 0 { 1.0 } else { 2.0 }));
         let found = volume(&nodes, &up);
         // The other order, and a side that is not there.
         let nodes = at(&[Vec3::Y, Vec3::NEG_X, Vec3::X]);
         let mut other = baked(&nodes, 0.01);
-        other.sh[..12].iter_mut().for_each(|v| *v *= 2.0);
+        other.sh.update(|node, values| values.iter_mut().for_each(|v| *v *= if node == 0 { 2.0 } else { 1.0 }));
         let comparison = compared(&found, &volume(&nodes, &other));
         assert_eq!(comparison.places, Places { truth: 3, compared: 2, not_held: 1, ..Places::default() });
         assert_eq!(comparison.all.relative_rmse, 0.0);
@@ -538,9 +539,9 @@ mod tests {
         let nodes = grid([2, 2, 2]);
         let (mut found, mut truth) = (baked(&nodes, 0.01), baked(&nodes, 0.01));
         truth.standing[0] = Standing::Solid;
-        truth.sh[0] = 1e3;
+        truth.sh.update(|node, values| values[0] = if node == 0 { 1e3 } else { values[0] });
         found.standing[..2].fill(Standing::Uncovered);
-        found.sh[12] += 1.0;
+        found.sh.update(|node, values| values[0] += if node == 1 { 1.0 } else { 0.0 });
         let comparison = compared(&volume(&nodes, &found), &volume(&nodes, &truth));
         let expected = Places { truth: 8, compared: 7, invalid: 1, filled: 1, ..Places::default() };
         assert_eq!(comparison.places, expected);
@@ -558,7 +559,7 @@ mod tests {
         // floor of a tenth of the median.
         let nodes = grid([4, 4, 4]);
         let mut dark = baked(&nodes, 0.02);
-        dark.sh[..12].fill(0.0);
+        dark.sh.set(0, &[0.0; 12]);
         let comparison = compared(&volume(&nodes, &dark), &with_errors(&nodes, 0.01));
         let noise = comparison.all.noise.unwrap();
         assert!((noise / 0.02f64.hypot(0.01) - 1.0).abs() < 0.01, "{noise}");

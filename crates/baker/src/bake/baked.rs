@@ -1,10 +1,10 @@
 //! How to bake, and what a bake gives.
 
-use gdibl_runtime::sh;
 use gdibl_runtime::walls::{Plane, WallCell};
 use glam::DVec3;
 
 use super::standing::Standing;
+use crate::rows::{Row, Table};
 use crate::sampling::Sampler;
 
 /// How to bake.
@@ -64,8 +64,8 @@ impl BakeSettings {
 pub struct Baked {
     /// Highest SH band.
     pub bands: u32,
-    /// Radiance coefficients, `[node][coefficient][rgb]` flat.
-    pub sh: Vec<f32>,
+    /// Radiance coefficients, a row per node: `[coefficient][rgb]` flat.
+    pub sh: Table,
     /// Only what is open has light of its own; the coefficients of the others come from neighbours.
     pub standing: Vec<Standing>,
     /// Nodes whose light is taken at another place, in order, and where, world metres.
@@ -84,7 +84,7 @@ pub struct Baked {
     pub systematic_error: Vec<f32>,
     /// `relative_error` with the standard error of E in the worst direction and channel.
     pub worst_error: Vec<f32>,
-    /// One standard error of each coefficient, as `sh`; empty unless asked for. 0 for invalid nodes.
+    /// One standard error of each coefficient, `[node][coefficient][rgb]` flat; empty unless asked for. 0 for invalid nodes.
     pub coefficient_error: Vec<f32>,
     /// Rays traced, lines of sight included.
     pub rays: u64,
@@ -99,10 +99,31 @@ pub struct Baked {
 }
 
 impl Baked {
+    /// Nodes that all have light of their own, of which nothing else is known.
+    pub(crate) fn of_rows(bands: u32, sh: Table) -> Baked {
+        let count = sh.len();
+        Baked {
+            bands,
+            sh,
+            standing: vec![Standing::Open; count],
+            moved: Vec::new(),
+            walls: None,
+            coverage: vec![1.0; count],
+            relative_error: vec![0.0; count],
+            systematic_error: vec![0.0; count],
+            worst_error: vec![0.0; count],
+            coefficient_error: Vec::new(),
+            rays: 0,
+            samples: 0,
+            missed: 0,
+            missed_by_systematic: 0,
+            clamped: 0.0,
+        }
+    }
+
     /// Coefficients of one node, `[coefficient][rgb]` flat.
-    pub fn node(&self, index: usize) -> &[f32] {
-        let stride = 3 * sh::coefficient_count(self.bands);
-        &self.sh[index * stride..(index + 1) * stride]
+    pub fn node(&self, index: usize) -> Row<'_> {
+        self.sh.row(index)
     }
 
     /// How many nodes.

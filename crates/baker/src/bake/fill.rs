@@ -103,7 +103,7 @@ fn mean(links: &Neighbours, grid: &Grid, baked: &Baked, known: &[bool]) -> Vec<f
     for (side, neighbour) in links.iter().enumerate() {
         let Some((neighbour, steps)) = neighbour.filter(|(neighbour, _)| known[*neighbour as usize]) else { continue };
         let weight = (1.0 / (spacing[side / 2] * f64::from(steps)).powi(2)) as f32;
-        sum.iter_mut().zip(baked.node(neighbour as usize)).for_each(|(sum, value)| *sum += weight * value);
+        sum.iter_mut().zip(&*baked.node(neighbour as usize)).for_each(|(sum, value)| *sum += weight * value);
         total += weight;
     }
     sum.iter_mut().for_each(|value| *value /= total);
@@ -111,8 +111,7 @@ fn mean(links: &Neighbours, grid: &Grid, baked: &Baked, known: &[bool]) -> Vec<f
 }
 
 fn set(baked: &mut Baked, node: u32, values: &[f32]) {
-    let start = node as usize * values.len();
-    baked.sh[start..start + values.len()].copy_from_slice(values);
+    baked.sh.set(node as usize, values);
 }
 
 fn fill_from_nearest(nodes: &Nodes, baked: &mut Baked) {
@@ -125,10 +124,10 @@ fn fill_from_nearest(nodes: &Nodes, baked: &mut Baked) {
         let here: DVec3 = nodes.position(node) - origin;
         valid[index.nearest(&positions, here.to_array()).expect("some node is valid").index]
     };
-    let stride = 3 * sh::coefficient_count(baked.bands);
+    let mut light = vec![0.0; baked.sh.width()];
     for node in (0..nodes.len()).filter(|node| !baked.is_valid(*node)).collect::<Vec<_>>() {
-        let from = nearest(node) * stride;
-        baked.sh.copy_within(from..from + stride, node * stride);
+        baked.sh.copy(nearest(node), &mut light);
+        baked.sh.set(node, &light);
     }
 }
 
@@ -161,7 +160,7 @@ mod tests {
             let mut baked = bake(&nodes, &function, &settings, &control).unwrap();
             for node in 0..16 {
                 baked.standing[node] = if node % 4 == 2 { Standing::Uncovered } else { Standing::Open };
-                baked.sh[3 * node..3 * node + 3].fill([5.0, 5.0, 0.0, 1.0][node % 4]);
+                baked.sh.set(node, &[[5.0, 5.0, 0.0, 1.0][node % 4]; 3]);
             }
             let place = |node: u32| function.frame().to_trace(nodes.position(node as usize));
             let rays = fill(&nodes, &mut baked, &function, place, &control).unwrap();

@@ -43,13 +43,19 @@ use crate::radiance::RadianceFunction;
 use crate::{Control, Interrupted};
 
 /// Bytes that a bake of `nodes` nodes takes at its peak, at most, beside the level: coefficients, figures, and the file's sections
-/// beside them. A million L2 nodes take 312 MB by this; 219 were measured in f16, 224 packed (`tools/scaling_bench`).
-pub fn memory_needed(nodes: u64, settings: &BakeSettings) -> u64 {
-    let coefficients = 3 * sh::coefficient_count(settings.bands) as u64;
-    let coefficients = coefficients * if settings.coefficient_errors { 2 } else { 1 };
-    let per_node = 2 * coefficients * 4 + size_of::<Summary>() as u64 + 48;
-    nodes.saturating_mul(per_node)
+/// beside them. A million L2 nodes take 312 MB by this; 219 were measured in f16, 224 packed (`tools/scaling_bench`). `is_paged`: what
+/// nodes come to is in a file once it is large.
+pub fn memory_needed(nodes: u64, settings: &BakeSettings, is_paged: bool) -> u64 {
+    let coefficients = 4 * 3 * sh::coefficient_count(settings.bands) as u64;
+    let errors = if settings.coefficient_errors { coefficients } else { 0 };
+    let held = nodes.saturating_mul(2 * (coefficients + errors) + size_of::<Summary>() as u64 + 48);
+    // The sections of an f32 file, figures, and where blocks are in the journal.
+    let paged = nodes.saturating_mul(coefficients + 2 * errors + 48).saturating_add(PAGES);
+    if is_paged { held.min(paged) } else { held }
 }
+
+/// Pages of tables in memory, and tables that are not large.
+const PAGES: u64 = 256 << 20;
 
 /// Bakes every node.
 pub fn bake(
@@ -75,9 +81,9 @@ fn finish(
 ) -> Result<Baked, Interrupted> {
     let Sampled { sh, mut coefficient_error, estimates, rays, samples } = sampled;
     let is_open: Vec<bool> = sites.standing.iter().map(|standing| *standing == Standing::Open).collect();
-    let valid = || estimates.iter().zip(&is_open).map(|(e, open)| (e, *open));
+    let valid = || estimates.firsts().zip(&is_open).map(|(e, open)| (e, *open));
     let errors = |own: fn(&Summary) -> f64| -> Vec<f32> {
-        valid().map(|(e, valid)| if valid { e.relative(own(e), median) as f32 } else { 0.0 }).collect()
+        valid().map(|(e, valid)| if valid { e.relative(own(&e), median) as f32 } else { 0.0 }).collect()
     };
     let relative_error = errors(|e| e.standard_error);
     let worst_error = errors(|e| e.worst_error);
@@ -88,7 +94,7 @@ fn finish(
         errors.fill(0.0);
     }
     let target = settings.target_error.unwrap_or(f64::INFINITY) as f32;
-    let total = |of: fn(&Summary) -> f64| valid().filter(|(_, valid)| *valid).map(|(e, _)| of(e)).sum::<f64>();
+    let total = |of: fn(&Summary) -> f64| valid().filter(|(_, valid)| *valid).map(|(e, _)| of(&e)).sum::<f64>();
     let (clamped, kept) = (total(|e| e.clamped), total(|e| e.kept));
     let moved = sites.moved(function);
     let mut baked = Baked {

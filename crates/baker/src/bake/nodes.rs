@@ -3,6 +3,7 @@
 use gdibl_runtime::bricks::Bricks;
 use gdibl_runtime::grid::Grid;
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use std::collections::HashMap;
 
 use crate::scene::{Mesh, Scene};
@@ -142,16 +143,17 @@ impl Nodes {
         let mut bounds = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         (0..numbers.len()).map(position).for_each(|p| bounds = (bounds.0.min(p), bounds.1.max(p)));
         let cell = (bounds.1 - bounds.0).max_element().max(f64::MIN_POSITIVE) / f64::from((1 << BITS) - 1);
-        let code = |index: &u32| {
-            let place = (position(*index as usize) - bounds.0) / cell;
+        let code = |index: u32| {
+            let place = (position(index as usize) - bounds.0) / cell;
             let bits = |number: f64, axis: u32| {
                 (0..BITS).map(|bit| (number as u32 >> bit & 1) << (3 * bit + axis)).sum::<u32>()
             };
-            (bits(place.x, 0) | bits(place.y, 1) | bits(place.z, 2), *index)
+            u64::from(bits(place.x, 0) | bits(place.y, 1) | bits(place.z, 2)) << u32::BITS | u64::from(index)
         };
-        let mut order: Vec<u32> = (0..numbers.len() as u32).collect();
-        order.sort_by_cached_key(code);
-        order
+        // Codes with the indices behind them: no two are equal.
+        let mut order: Vec<u64> = (0..numbers.len() as u32).into_par_iter().map(code).collect();
+        order.par_sort_unstable();
+        order.into_iter().map(|code| code as u32).collect()
     }
 
     /// No node at all.

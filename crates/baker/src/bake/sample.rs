@@ -15,6 +15,7 @@ use super::summary::Summary;
 use super::systematic::least_systematic_error;
 use crate::blocks::{Found, PassKind};
 use crate::radiance::{Audit, PathContext, RadianceFunction, number_of_place};
+use crate::rows::{Row, Table};
 use crate::sampling::{Sampler, Stream};
 use crate::{Control, Interrupted};
 
@@ -82,11 +83,11 @@ impl Batch {
             }
             _ => settings.samples,
         };
-        let mut sampled = Sampled::new(count, settings);
+        let mut sampled = Sampled::new(count, settings, control);
         sampled.rays = pilot_rays;
         job.sample(&open, PassKind::Split, enough, &mut sampled)?;
         let scale = scale.unwrap_or_else(|| sampled.scale(&open));
-        let is_dark = |sampled: &Sampled, node: &u32| sampled.estimates[*node as usize].is_dark(scale.median);
+        let is_dark = |sampled: &Sampled, node: &u32| sampled.estimates.first(*node as usize).is_dark(scale.median);
         let dark: Vec<u32> = sites.suspects.iter().copied().filter(|node| is_dark(&sampled, node)).collect();
         let out = sites.step_out(&dark, nodes, function);
         let silent = Control {
@@ -107,7 +108,7 @@ impl Batch {
         if is_whole && !sites.standing.contains(&Standing::Open) {
             dark.iter().for_each(|node| sites.standing[*node as usize] = Standing::Open);
         }
-        for (standing, estimate) in sites.standing.iter_mut().zip(&sampled.estimates) {
+        for (standing, estimate) in sites.standing.iter_mut().zip(sampled.estimates.firsts()) {
             if *standing == Standing::Open && estimate.coverage == 0.0 {
                 *standing = Standing::Uncovered;
             }
@@ -119,9 +120,9 @@ impl Batch {
     pub fn append(&mut self, other: Batch) {
         self.sites.append(other.sites);
         let Sampled { sh, coefficient_error, estimates, rays, samples } = other.sampled;
-        self.sampled.sh.extend(sh);
+        self.sampled.sh.append(sh);
         self.sampled.coefficient_error.extend(coefficient_error);
-        self.sampled.estimates.extend(estimates);
+        self.sampled.estimates.append(estimates);
         self.sampled.rays += rays;
         self.sampled.samples += samples;
     }
@@ -134,9 +135,9 @@ impl Batch {
             false => places.iter().flat_map(|p| &all[*p as usize * stride..][..stride]).copied().collect(),
         };
         let sampled = Sampled {
-            sh: rows(&self.sampled.sh),
+            sh: self.sampled.sh.selected(places.iter().map(|place| *place as usize)),
             coefficient_error: rows(&self.sampled.coefficient_error),
-            estimates: places.iter().map(|place| self.sampled.estimates[*place as usize]).collect(),
+            estimates: self.sampled.estimates.selected(places.iter().map(|place| *place as usize)),
             rays: self.sampled.rays,
             samples: self.sampled.samples,
         };
@@ -145,8 +146,8 @@ impl Batch {
     }
 }
 
-fn median_irradiance(estimates: &[Summary]) -> f64 {
-    let lit = estimates.iter().filter(|e| e.coverage > 0.0 && e.rms_irradiance > 0.0);
+fn median_irradiance(estimates: &Table<Summary>) -> f64 {
+    let lit = estimates.firsts().filter(|e| e.coverage > 0.0 && e.rms_irradiance > 0.0);
     let mut valid: Vec<f64> = lit.map(|e| e.rms_irradiance).collect();
     if valid.is_empty() {
         return 0.0;
@@ -156,10 +157,10 @@ fn median_irradiance(estimates: &[Summary]) -> f64 {
 }
 
 pub(super) struct Sampled {
-    pub sh: Vec<f32>,
+    pub sh: Table,
     /// Empty unless asked for.
     pub coefficient_error: Vec<f32>,
-    pub estimates: Vec<Summary>,
+    pub estimates: Table<Summary>,
     pub rays: u64,
     pub samples: u64,
 }
@@ -172,31 +173,30 @@ impl Sampled {
     }
 
     /// Coefficients of one node.
-    pub fn node(&self, place: usize, settings: &BakeSettings) -> &[f32] {
-        let stride = 3 * sh::coefficient_count(settings.bands);
-        &self.sh[place * stride..][..stride]
+    pub fn node(&self, place: usize) -> Row<'_> {
+        self.sh.row(place)
     }
 
     /// Takes what the nodes at these places came to.
     fn set(&mut self, places: &[u32], block: &Block, stride: usize) {
         for (at, &place) in places.iter().enumerate() {
             let own = |at: usize| at * stride..(at + 1) * stride;
-            self.sh[own(place as usize)].copy_from_slice(&block.sh[own(at)]);
+            self.sh.set(place as usize, &block.sh[own(at)]);
             if !block.coefficient_error.is_empty() {
                 self.coefficient_error[own(place as usize)].copy_from_slice(&block.coefficient_error[own(at)]);
             }
-            self.estimates[place as usize] = block.estimates[at];
+            self.estimates.set(place as usize, &block.estimates[at..=at]);
         }
         self.samples += block.samples;
         self.rays += block.rays;
     }
 
-    fn new(nodes: usize, settings: &BakeSettings) -> Sampled {
+    fn new(nodes: usize, settings: &BakeSettings, control: &Control) -> Sampled {
         let stride = 3 * sh::coefficient_count(settings.bands);
         Sampled {
-            sh: vec![0.0f32; stride * nodes],
+            sh: Table::zeros(nodes, stride, control.blocks),
             coefficient_error: vec![0.0; if settings.coefficient_errors { stride * nodes } else { 0 }],
-            estimates: vec![Summary::default(); nodes],
+            estimates: Table::zeros(nodes, 1, control.blocks),
             rays: 0,
             samples: 0,
         }
@@ -215,7 +215,7 @@ struct Job<'a, F> {
 impl<F: RadianceFunction> Job<'_, F> {
     /// The scale of errors at these nodes, from a few samples each. Counts its rays.
     fn pilot(&self, which: &[u32], rays: &mut u64) -> Result<Scale, Interrupted> {
-        let mut sampled = Sampled::new(self.sites.numbers.len(), self.settings);
+        let mut sampled = Sampled::new(self.sites.numbers.len(), self.settings, self.control);
         let silent = Control { cancel: self.control.cancel, progress: &|_, _| {}, blocks: self.control.blocks };
         Job { control: &silent, ..*self }.sample(which, PassKind::Shared, |_, _| PILOT_SAMPLES, &mut sampled)?;
         *rays += sampled.rays;

@@ -68,6 +68,8 @@ pub(super) struct Sites {
 
 /// Nodes of a block.
 const BLOCK: usize = 64;
+/// Blocks whose sites are in memory at once.
+const BLOCKS_AT_A_TIME: usize = 1 << 12;
 
 /// Where a node stands after a look around.
 #[derive(Debug, Clone, Copy, Encode, Decode)]
@@ -102,36 +104,40 @@ impl Sites {
             sites.standing = vec![Standing::Open; count];
             return Ok(sites);
         }
-        let origin = |index: usize| sites.origin(index as u32, nodes, function);
-        let settle = |around: &mut Around, index| match control.cancelled() {
+        let settle = |around: &mut Around, index: u32| match control.cancelled() {
             true => Err(Interrupted),
-            false => Ok(around.settle(origin(index))),
+            false => Ok(around.settle(sites.origin(index, nodes, function))),
         };
         let start = || Around::new(nodes, function);
         let pass = Pass::begin(control, PassKind::Shared);
-        let mut found: Vec<Site> = Vec::with_capacity(count);
-        let all: Vec<usize> = (0..count).collect();
-        let blocks: Result<Vec<Option<Vec<Site>>>, Interrupted> = all
-            .par_chunks(BLOCK)
-            .enumerate()
-            .map_init(start, |around, (number, block)| {
-                let find = || block.iter().map(|index| settle(around, *index)).collect();
-                pass.block(number, |sites: &Vec<Site>| sites.len() == block.len(), find)
-            })
-            .collect();
-        blocks?.into_iter().for_each(|block| found.extend(block.expect("every run looks around")));
-        pass.end()?;
-        for (index, site) in found.iter().enumerate() {
-            sites.rays += site.rays;
-            sites.standing.push(site.standing);
-            let place = Vec3::from(site.place);
-            if place != sites.origin(index as u32, nodes, function) {
-                sites.moved.push((index as u32, place));
-            }
-            if site.is_suspect {
-                sites.suspects.push(index as u32);
+        let sites_of = |around: &mut Around, number: usize| -> Result<Vec<Site>, Interrupted> {
+            let block = number * BLOCK..count.min((number + 1) * BLOCK);
+            let find = || block.clone().map(|index| settle(around, index as u32)).collect();
+            let found = pass.block(number, |sites: &Vec<Site>| sites.len() == block.len(), find)?;
+            Ok(found.expect("every run looks around"))
+        };
+        // Some blocks at a time: of all nodes sites would take more memory than what they come to.
+        let blocks = count.div_ceil(BLOCK);
+        let (mut standing, mut moved, mut suspects, mut rays) = (Vec::with_capacity(count), Vec::new(), Vec::new(), 0);
+        for first in (0..blocks).step_by(BLOCKS_AT_A_TIME) {
+            let numbers = first..blocks.min(first + BLOCKS_AT_A_TIME);
+            let found: Result<Vec<Vec<Site>>, Interrupted> =
+                numbers.into_par_iter().map_init(start, sites_of).collect();
+            for site in found?.into_iter().flatten() {
+                let index = standing.len() as u32;
+                let place = Vec3::from(site.place);
+                if place != sites.origin(index, nodes, function) {
+                    moved.push((index, place));
+                }
+                if site.is_suspect {
+                    suspects.push(index);
+                }
+                standing.push(site.standing);
+                rays += site.rays;
             }
         }
+        pass.end()?;
+        (sites.standing, sites.moved, sites.suspects, sites.rays) = (standing, moved, suspects, rays);
         Ok(sites)
     }
 

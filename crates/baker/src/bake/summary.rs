@@ -3,10 +3,11 @@
 use bincode::{Decode, Encode};
 
 use super::integrate::{Bias, NodeEstimate};
+use crate::rows::Element;
 
 /// What is kept of a node besides its coefficients.
-#[derive(Debug, Clone, Copy, Default, Encode, Decode)]
-pub(super) struct Summary {
+#[derive(Debug, Clone, Copy, Default, PartialEq, Encode, Decode)]
+pub(crate) struct Summary {
     pub standard_error: f64,
     pub worst_error: f64,
     pub rms_irradiance: f64,
@@ -38,6 +39,43 @@ impl Summary {
     pub fn relative_square(&self, square: f64, median: f64) -> f64 {
         let floor = self.rms_irradiance.max(0.1 * median);
         if square == 0.0 { 0.0 } else { square / (floor * floor) }
+    }
+}
+
+impl Element for Summary {
+    const BYTES: usize = 73;
+
+    fn to_bytes(self, bytes: &mut [u8]) {
+        let Summary { bias, .. } = self;
+        let numbers = [
+            self.standard_error,
+            self.worst_error,
+            self.rms_irradiance,
+            self.coverage,
+            self.unseen_error,
+            self.clamped,
+            self.kept,
+            bias.square,
+            bias.noise,
+        ];
+        for (bytes, number) in bytes.chunks_exact_mut(8).zip(numbers) {
+            bytes.copy_from_slice(&number.to_le_bytes());
+        }
+        bytes[72] = bias.by_probes.into();
+    }
+
+    fn from_bytes(bytes: &[u8]) -> Summary {
+        let number = |place: usize| f64::from_le_bytes(bytes[8 * place..][..8].try_into().expect("eight bytes"));
+        Summary {
+            standard_error: number(0),
+            worst_error: number(1),
+            rms_irradiance: number(2),
+            coverage: number(3),
+            unseen_error: number(4),
+            clamped: number(5),
+            kept: number(6),
+            bias: Bias { square: number(7), noise: number(8), by_probes: bytes[72] != 0 },
+        }
     }
 }
 

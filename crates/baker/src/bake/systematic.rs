@@ -8,6 +8,7 @@
 //! count, which are nearly free of noise and say how far probes differ. Beside it stands the light of directions that nobody has seen, which each node knows for itself.
 
 use super::summary::Summary;
+use crate::rows::Table;
 
 /// Independent numbers in E of a node, about: the square of a mean of audits varies by its variance times √(2 / this).
 const FREEDOM: f64 = 2.0;
@@ -30,15 +31,15 @@ impl Found {
 }
 
 /// By paths if that is certain, or else by probes if that is, or nothing.
-fn found(places: &[u32], estimates: &[Summary], median: f64) -> Found {
+fn found(places: &[u32], estimates: &Table<Summary>, median: f64) -> Found {
     let both = [false, true].map(|by_probes| found_by(by_probes, places, estimates, median));
     both.into_iter().find(Found::is_certain).unwrap_or_default()
 }
 
-fn found_by(by_probes: bool, places: &[u32], estimates: &[Summary], median: f64) -> Found {
+fn found_by(by_probes: bool, places: &[u32], estimates: &Table<Summary>, median: f64) -> Found {
     let (mut square, mut noise, mut total, mut spread) = (0.0, 0.0, 0.0, 0.0);
     for place in places {
-        let estimate = &estimates[*place as usize];
+        let estimate = estimates.first(*place as usize);
         let own = |of: f64| estimate.relative_square(of, median);
         let variance = own(estimate.bias.noise);
         if variance > 0.0 && estimate.standard_error.is_finite() && estimate.bias.by_probes == by_probes {
@@ -57,11 +58,11 @@ fn found_by(by_probes: bool, places: &[u32], estimates: &[Summary], median: f64)
 }
 
 /// Root mean square systematic error of each of these places, over its irradiance; 0 for other nodes.
-pub(super) fn systematic_errors(places: &[u32], estimates: &[Summary], median: f64) -> Vec<f32> {
+pub(super) fn systematic_errors(places: &[u32], estimates: &Table<Summary>, median: f64) -> Vec<f32> {
     let mut errors = vec![0.0; estimates.len()];
     let Found { square, noise, .. } = found(places, estimates, median);
     for place in places {
-        let estimate = &estimates[*place as usize];
+        let estimate = estimates.first(*place as usize);
         let own = estimate.relative_square(estimate.standard_error.powi(2), median);
         let audited = match noise > 0.0 && own.is_finite() {
             true => square * own / noise,
@@ -74,7 +75,7 @@ pub(super) fn systematic_errors(places: &[u32], estimates: &[Summary], median: f
 }
 
 /// The volume's systematic error, as far as it is certain: its square less one standard error of that.
-pub(super) fn least_systematic_error(places: &[u32], estimates: &[Summary], median: f64) -> f64 {
+pub(super) fn least_systematic_error(places: &[u32], estimates: &Table<Summary>, median: f64) -> f64 {
     let Found { square, standard_error, .. } = found(places, estimates, median);
     (square - standard_error).max(0.0).sqrt()
 }
@@ -86,7 +87,7 @@ mod tests {
     use crate::sampling::{Sampler, Stream};
 
     /// Nodes whose audits are `noise` off, of a systematic error of `error`; both over an irradiance of 1.
-    fn nodes(count: u32, noise: f64, error: f64) -> Vec<Summary> {
+    fn nodes(count: u32, noise: f64, error: f64) -> Table<Summary> {
         let stream = Stream::new(Sampler::Random, 0, 0, 0);
         let node = |place: u32| {
             let normal = |n: u32| (0..12).map(|i| f64::from(stream.random(place, 12 * n + i))).sum::<f64>() - 6.0;
@@ -96,7 +97,7 @@ mod tests {
             let bias = Bias { square, noise: noise * noise, by_probes: false };
             Summary { bias, standard_error: 0.005, rms_irradiance: 1.0, coverage: 1.0, ..Summary::default() }
         };
-        (0..count).map(node).collect()
+        Table::held(1, (0..count).map(node).collect())
     }
 
     #[test]
@@ -112,15 +113,17 @@ mod tests {
     #[test]
     fn nodes_that_are_noisier_have_more_of_it() {
         let mut estimates = nodes(1024, 0.02, 0.01);
-        estimates[3].standard_error *= 4.0;
+        let noisy = estimates.first(3);
+        estimates.set(3, &[Summary { standard_error: 4.0 * noisy.standard_error, ..noisy }]);
         let errors = systematic_errors(&(0..1024).collect::<Vec<_>>(), &estimates, 1.0);
         assert!((errors[3] / errors[4] - 4.0).abs() < 1e-3, "{} {}", errors[3], errors[4]);
     }
 
     #[test]
     fn unseen_light_counts_at_its_node_alone_and_nothing_is_wrong_without_audits() {
-        let mut estimates = vec![Summary { rms_irradiance: 2.0, coverage: 1.0, ..Summary::default() }; 20];
-        estimates[7].unseen_error = 0.5;
+        let lit = Summary { rms_irradiance: 2.0, coverage: 1.0, ..Summary::default() };
+        let mut estimates = Table::held(1, vec![lit; 20]);
+        estimates.set(7, &[Summary { unseen_error: 0.5, ..lit }]);
         let errors = systematic_errors(&(0..20).collect::<Vec<_>>(), &estimates, 1.0);
         for (place, error) in errors.iter().enumerate() {
             assert_eq!(*error, if place == 7 { 0.25 } else { 0.0 });

@@ -90,7 +90,7 @@ pub(super) fn find(
 /// Of nodes that have light of their own.
 pub(crate) fn median_irradiance(baked: &Baked) -> f64 {
     let nodes = (0..baked.len()).filter(|node| baked.is_valid(*node));
-    let mut all: Vec<f64> = nodes.map(|node| strength(&irradiance_of(baked.node(node)))).collect();
+    let mut all: Vec<f64> = nodes.map(|node| strength(&irradiance_of(&baked.node(node)))).collect();
     if all.is_empty() {
         return 0.0;
     }
@@ -184,7 +184,7 @@ impl<P: Fn(u32) -> Vec3 + Sync> Search<'_, P> {
         if !self.has_wall(&cell) {
             return None;
         }
-        let light = cell.corners.nodes.map(|node| irradiance_of(self.baked.node(node as usize)));
+        let light = cell.corners.nodes.map(|node| irradiance_of(&self.baked.node(node as usize)));
         let (witnesses, candidates) = self.look(&cell);
         let splits = choose(&witnesses, cell.valid, candidates);
         let masks = masks(&witnesses, cell.valid, &splits);

@@ -5,6 +5,7 @@ use gdibl_runtime::{Grid, RadianceSh, Volume, sh};
 
 use crate::bake::{Baked, Nodes, SparseGrid, Standing};
 use crate::job::records::{ErrorSummary, Records, WallsRecord};
+use crate::rows::Table;
 
 /// Nodes with their light, ready to be packed.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,7 +62,7 @@ impl Part {
         let count = 3 * sh::coefficient_count(bands);
         let mut baked = Baked {
             bands,
-            sh: Vec::with_capacity(nodes.len() * count),
+            sh: Table::zeros(nodes.len(), count, None),
             standing: Vec::new(),
             moved: Vec::new(),
             walls: None,
@@ -81,7 +82,7 @@ impl Part {
                 Nodes::Sparse(sparse) => sparse.bricks.place_of(node),
                 _ => grid.place_of(node as u32),
             });
-            baked.sh.extend(&light.sh.coefficients.as_flattened()[..count]);
+            baked.sh.set(node, &light.sh.coefficients.as_flattened()[..count]);
             baked.standing.push(if light.is_valid { Standing::Open } else { Standing::Uncovered });
             baked.coverage.push(light.coverage);
             baked.relative_error.push(light.relative_error);

@@ -155,7 +155,7 @@ impl Fit<'_> {
 
     fn witnesses(&self, cell: u32, valid: u8, candidates: &[u16]) -> Vec<Witness> {
         let nodes = self.cells.corners(cell).nodes;
-        let lights = nodes.map(|node| irradiance_of(self.part.baked.node(node as usize)));
+        let lights = nodes.map(|node| irradiance_of(&self.part.baked.node(node as usize)));
         let product = |a: &Irradiance, b: &Irradiance| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
         let gram: [[f32; 8]; 8] = std::array::from_fn(|a| std::array::from_fn(|b| product(&lights[a], &lights[b])));
         let witness = |share: DVec3| {

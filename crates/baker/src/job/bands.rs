@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::records::ErrorSummary;
 use crate::bake::Baked;
+use crate::rows::Table;
 
 /// What fewer bands lose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -24,7 +25,7 @@ pub struct Truncation {
 pub fn truncations(baked: &Baked) -> Vec<Truncation> {
     // Per node and band: Σ (A_l L_lm)², which is that of irradiance over all normals. Found anew each time, not kept: a level of a
     // million nodes would take as much memory for it as for its file.
-    let powers = || baked.valid_nodes().map(|node| band_powers(baked.node(node)));
+    let powers = || baked.valid_nodes().map(|node| band_powers(&baked.node(node)));
     let mut sizes: Vec<f64> = powers().map(|powers| powers.iter().sum::<f64>().sqrt()).collect();
     if sizes.is_empty() {
         return Vec::new();
@@ -66,9 +67,9 @@ pub fn fewest(truncations: &[Truncation], tolerance: f64, all: u32) -> u32 {
 /// The same volume with fewer bands.
 pub fn truncate(baked: &mut Baked, bands: u32) {
     let [from, to] = [baked.bands, bands].map(|bands| 3 * sh::coefficient_count(bands));
-    for all in [&mut baked.sh, &mut baked.coefficient_error] {
-        *all = all.chunks_exact(from).flat_map(|node| &node[..to]).copied().collect();
-    }
+    let errors = &mut baked.coefficient_error;
+    *errors = errors.chunks_exact(from).flat_map(|node| &node[..to]).copied().collect();
+    baked.sh = std::mem::replace(&mut baked.sh, Table::held(to, Vec::new())).narrowed(to);
     baked.bands = bands;
 }
 
@@ -81,7 +82,7 @@ mod tests {
         let bands = 4;
         Baked {
             bands,
-            sh: nodes.concat(),
+            sh: Table::held(nodes[0].len(), nodes.concat()),
             standing: vec![Standing::Open; nodes.len()],
             moved: Vec::new(),
             walls: None,
@@ -138,7 +139,7 @@ mod tests {
     fn truncating_keeps_the_lower_bands() {
         let mut baked = volume(&[node([1.0, 2.0, 3.0, 4.0, 5.0]), node([6.0, 7.0, 8.0, 9.0, 1.0])]);
         truncate(&mut baked, 1);
-        assert_eq!((baked.bands, baked.sh.len()), (1, 24));
+        assert_eq!((baked.bands, baked.sh.width()), (1, 12));
         assert_eq!((baked.node(0)[3], baked.node(1)[0], baked.node(1)[5]), (2.0, 6.0, 7.0));
     }
 }

@@ -17,12 +17,12 @@ mod text;
 mod volumes;
 mod work;
 
-use gdibl_runtime::Volume;
 use gdibl_runtime::grid::Grid;
 use std::cell::LazyCell;
 
+use crate::bake::pass::Pass;
 use crate::bake::{self, Baked, Nodes, Shells};
-use crate::blocks::{AllShared, Blocks};
+use crate::blocks::{AllShared, Blocks, PassKind};
 use crate::exposure::{ExposureMatch, match_exposure};
 use crate::pack::{PackSettings, Sections, pack, sections};
 use crate::radiance::RadianceFunction;
@@ -213,7 +213,7 @@ impl Job {
         findings.extend(findings_of(&baked, quality.clamp.unwrap_or(f32::INFINITY)));
         let stage = |(stage, rays): (Stage, u64)| StageRecord { stage: stage.name().into(), rays, seconds: None };
         let stages = stages.into_iter().map(stage).collect();
-        let seen = held_out.map(|held_out| held_out.errors(&nodes, &baked, &as_read(&nodes, &baked, &self.settings).0));
+        let seen = held_out.map(|held_out| held_out.errors(&nodes, &baked, self.settings.pack()));
         let (seen, seen_places) = seen.unzip();
         let seen_places = seen_places.unwrap_or_default();
         let distant = self.inputs.distant.as_ref().filter(|_| self.sealed.is_none());
@@ -265,15 +265,21 @@ impl Job {
         self.is_open && self.settings.quality.seen_places != Some(0)
     }
 
-    /// Lets the grid have as many nodes as can be baked in so many seconds since the run began.
+    /// Lets the grid have as many nodes as can be baked in so many seconds since the run began. A bake that goes on has as many as the
+    /// one before had chosen.
     fn fit(&mut self, budget: f64, watch: &Watch) -> Result<(), Stop> {
         let Nodes::Grid(grid) = &self.nodes else { return Ok(()) };
         (watch.stage)(Stage::Spacing);
-        let pace = self.pace(budget, watch)?;
-        let nodes = pace.nodes_in(budget - (watch.seconds)(), self.settings.quality.seen_places);
-        // A volume holds no more than 2^32 nodes.
-        let asked = self.settings.grid.max_nodes.unwrap_or(u32::MAX.into());
-        let nodes = nodes.min(asked).min(self.memory.most_nodes(&self.settings)).max(1);
+        let choose = || {
+            let pace = self.pace(budget, watch)?;
+            let nodes = pace.nodes_in(budget - (watch.seconds)(), self.settings.quality.seen_places);
+            // A volume holds no more than 2^32 nodes.
+            let asked = self.settings.grid.max_nodes.unwrap_or(u32::MAX.into());
+            Ok(nodes.min(asked).min(self.memory.most_nodes(&self.settings)).max(1))
+        };
+        let pass = Pass::of(watch.blocks, PassKind::Shared);
+        let nodes = pass.block(0, |nodes: &u64| *nodes > 0, choose)?.expect("every run has a number of nodes");
+        pass.end()?;
         self.nodes = Nodes::Grid(bake::grid_of_nodes(grid.min.into(), grid.max.into(), nodes));
         self.settings.grid = GridSettings { max_nodes: Some(nodes), budget: None, ..self.settings.grid.clone() };
         Ok(())
@@ -322,7 +328,7 @@ impl Job {
         rows.extend(self.sealed.clone());
         rows.push(self.bounds.clone());
         let is_at_most = self.is_open || settings.grid.tolerance.is_some();
-        rows.push(plan::nodes(&self.nodes, is_at_most, settings));
+        rows.push(plan::nodes(&self.nodes, is_at_most, settings, self.memory.is_paged));
         match (&self.nodes, self.searches()) {
             (_, true) => {}
             (Nodes::Grid(_), _) if self.is_open => {
@@ -437,8 +443,8 @@ impl Sample<'_, '_> {
                     if bakes.is_empty() {
                         held_out = self.hold_out(&job.nodes, &baked, function, blocks)?;
                     }
-                    let (volume, bytes) = as_read(&nodes, &baked, settings);
-                    let seen = held_out.as_ref().map(|held_out| held_out.errors(&nodes, &baked, &volume).0);
+                    let bytes = bytes_of_light(&nodes, &baked, settings);
+                    let seen = held_out.as_ref().map(|held_out| held_out.errors(&nodes, &baked, settings.pack()).0);
                     let error = seen.as_ref().map_or(f64::INFINITY, spacing::error_of);
                     search.tell(Tried { grid, error, bytes });
                     bakes.push((grid, baked));
@@ -519,11 +525,10 @@ impl Made {
     }
 }
 
-/// The volume as an engine reads it from the file, and the bytes of its light there.
-pub fn as_read(nodes: &Nodes, baked: &Baked, settings: &Settings) -> (Volume, u64) {
+/// Bytes of a volume's file without what is told about it.
+pub fn bytes_of_light(nodes: &Nodes, baked: &Baked, settings: &Settings) -> u64 {
     let packing = PackSettings { zstd: false, ..settings.pack() };
-    let bytes = pack(nodes, baked, Records::default(), packing).bytes;
-    (Volume::parse(&bytes).expect("what was packed parses"), bytes.len() as u64)
+    pack(nodes, baked, Records::default(), packing).bytes.len() as u64
 }
 
 /// What a job may take.
@@ -533,22 +538,31 @@ pub struct Memory {
     pub bytes: f64,
     /// It was asked for, and is not what the machine has.
     pub is_asked: bool,
+    /// There is a file for what is large: see [`Blocks::scratch`].
+    pub is_paged: bool,
 }
 
 impl Memory {
     /// No bound.
-    pub const UNBOUNDED: Memory = Memory { bytes: f64::INFINITY, is_asked: false };
+    pub const UNBOUNDED: Memory = Memory { bytes: f64::INFINITY, is_asked: false, is_paged: false };
 
     /// The most nodes that fit in.
     fn most_nodes(self, settings: &Settings) -> u64 {
-        (self.bytes / bake::memory_needed(1, &settings.bake()) as f64) as u64
+        let needed = |nodes: u64| bake::memory_needed(nodes, &settings.bake(), self.is_paged) as f64;
+        // By halves: it grows with nodes.
+        let (mut few, mut many) = (0u64, 1 << 32);
+        while many - few > 1 {
+            let middle = few.midpoint(many);
+            if needed(middle) <= self.bytes { few = middle } else { many = middle }
+        }
+        few
     }
 
     /// Says what a bake needs before any of it is taken.
     fn check(self, nodes: &Nodes, settings: &Settings) -> Result<(), Stop> {
         let is_sparse = settings.grid.tolerance.is_some();
         let count = nodes.len() as u64 / if is_sparse { SPARSE_SHARE } else { 1 };
-        let needed = bake::memory_needed(count, &settings.bake());
+        let needed = bake::memory_needed(count, &settings.bake(), self.is_paged);
         if needed as f64 <= self.bytes {
             return Ok(());
         }

@@ -67,8 +67,8 @@ pub fn bounds_given(why: &str) -> PlanRow {
 const BYTES_PACKED: f64 = 0.5;
 const BYTES_OF_FIGURES: f64 = 3.0;
 
-/// How many nodes, and what they will take. `is_at_most`: light may need fewer.
-pub fn nodes(nodes: &Nodes, is_at_most: bool, settings: &Settings) -> PlanRow {
+/// How many nodes, and what they will take. `is_at_most`: light may need fewer. `is_paged`: what is large is in a file.
+pub fn nodes(nodes: &Nodes, is_at_most: bool, settings: &Settings, is_paged: bool) -> PlanRow {
     let bake = settings.bake();
     let what = match nodes {
         Nodes::Grid(grid) => {
@@ -93,7 +93,7 @@ pub fn nodes(nodes: &Nodes, is_at_most: bool, settings: &Settings) -> PlanRow {
             "{what}; {:.1} M directions, a file of about {:.2} MB, at most {:.2} GiB of memory beside the level",
             bake.directions(count) as f64 / 1e6,
             bytes / 1e6,
-            memory_needed(count, &bake) as f64 / f64::from(1 << 30)
+            memory_needed(count, &bake, is_paged) as f64 / f64::from(1 << 30)
         ),
     )
 }

@@ -121,9 +121,20 @@ const PIECE: usize = 1 << 16;
 #[derive(Debug)]
 pub struct Sections {
     header: Header,
-    sections: Vec<([u8; 4], Vec<u8>)>,
+    sections: Vec<([u8; 4], Content)>,
     records: Records,
     zstd: bool,
+}
+
+/// What a section holds.
+#[derive(Debug)]
+enum Content {
+    Raw(Vec<u8>),
+    /// Packed bits of so many bytes, which would not be smaller as they are.
+    Bits {
+        bits: Vec<u8>,
+        raw_size: u64,
+    },
 }
 
 impl Sections {
@@ -144,7 +155,7 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
     // De-ringing and standard errors know packed coefficients as floats.
     let numbers = match settings.precision {
         Precision::F32 | Precision::Packed { .. } => Numbers { encoding: Encoding::F32, scale: 1.0 },
-        Precision::F16 => Numbers { encoding: Encoding::F16, scale: f16_scale(&baked.sh) },
+        Precision::F16 => Numbers { encoding: Encoding::F16, scale: f16_scale(baked) },
     };
     let mut windows = Vec::new();
     if settings.dering {
@@ -159,13 +170,7 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
         None => Units::Radiance,
         Some(_) => Units::RadianceDeringed,
     };
-    let count = nodes.len();
-    let (kind, counts) = match nodes {
-        Nodes::Grid(grid) => (Kind::Grid, grid.counts),
-        Nodes::Sparse(_) => (Kind::Sparse, [count as u32, 1, 1]),
-        Nodes::Points(_) => (Kind::Points, [count as u32, 1, 1]),
-        Nodes::Vertices { .. } => (Kind::Vertices, [count as u32, 1, 1]),
-    };
+    let (kind, counts) = kind_of(nodes);
     let (min, max) = bounds(nodes);
     let Numbers { encoding, scale } = numbers;
     let mut header = Header { kind, counts, bands: baked.bands, encoding, scale, units, min, max };
@@ -176,24 +181,18 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
             let noise = statistics.relative_error.as_ref().map(|error| error.median);
             let error = error.unwrap_or_else(|| Precision::packed_error(noise));
             record_error(&mut records, error);
-            let packed = pack_coefficients(baked, &windows, error, settings.step);
+            let packed = pack_coefficients(baked, &windows, error, settings);
             (header.encoding, header.scale) = (Encoding::Packed, packed.step);
             // A part says what the whole says.
             statistics.packing = packed.record.or(statistics.packing);
-            packed.bytes
+            packed.content
         }
-        _ => planes(&baked.sh, &windows, baked.len(), numbers),
+        _ => {
+            let value = |node, plane| baked.node(node)[plane];
+            Content::Raw(planes(value, baked.sh.width(), &windows, baked.len(), numbers))
+        }
     };
-    let mut sections = vec![(format::RADIANCE, radiance)];
-    if (0..count).any(|node| !baked.is_valid(node)) {
-        sections.push((format::VALIDITY, (0..count).map(|node| u8::from(baked.is_valid(node))).collect()));
-    }
-    if let Nodes::Sparse(sparse) = nodes {
-        sections.push((format::BRICKS, sparse.bricks.to_bytes()));
-    }
-    if let Some(walls) = &baked.walls {
-        sections.push((format::WALLS, walls_to_bytes(&walls.planes, &walls.cells)));
-    }
+    let mut sections = place_sections(nodes, baked);
     match nodes {
         Nodes::Grid(_) | Nodes::Sparse(_) => {}
         Nodes::Points(_) => sections.push((format::POSITIONS, positions(nodes, min))),
@@ -219,7 +218,9 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
     }
     if !baked.coefficient_error.is_empty() && baked.coefficient_error.iter().all(|e| e.is_finite()) {
         sections.push((format::WORST_ERROR, errors(&baked.worst_error)));
-        sections.push((format::COEFFICIENT_ERRORS, planes(&baked.coefficient_error, &[], baked.len(), numbers)));
+        let stride = baked.sh.width();
+        let value = |node, plane| baked.coefficient_error[node * stride + plane];
+        sections.push((format::COEFFICIENT_ERRORS, planes(value, stride, &[], baked.len(), numbers)));
     }
     if let Some(settings) = &records.settings {
         sections.push((format::SETTINGS, records::encode(settings)));
@@ -233,7 +234,34 @@ pub fn sections(nodes: &Nodes, baked: &Baked, mut records: Records, settings: Pa
     sections.push((format::STATISTICS, records::encode(&statistics)));
     records.statistics = Some(statistics);
 
+    let rest = sections.into_iter().map(|(id, bytes)| (id, Content::Raw(bytes)));
+    let sections = std::iter::once((format::RADIANCE, radiance)).chain(rest).collect();
     Sections { header, sections, records, zstd: settings.zstd }
+}
+
+fn kind_of(nodes: &Nodes) -> (Kind, [u32; 3]) {
+    let list = [nodes.len() as u32, 1, 1];
+    match nodes {
+        Nodes::Grid(grid) => (Kind::Grid, grid.counts),
+        Nodes::Sparse(_) => (Kind::Sparse, list),
+        Nodes::Points(_) => (Kind::Points, list),
+        Nodes::Vertices { .. } => (Kind::Vertices, list),
+    }
+}
+
+/// Which nodes are there, which were baked, and what walls are between them.
+fn place_sections(nodes: &Nodes, baked: &Baked) -> Vec<([u8; 4], Vec<u8>)> {
+    let mut sections = Vec::new();
+    if !baked.is_all_valid() {
+        sections.push((format::VALIDITY, (0..baked.len()).map(|node| u8::from(baked.is_valid(node))).collect()));
+    }
+    if let Nodes::Sparse(sparse) = nodes {
+        sections.push((format::BRICKS, sparse.bricks.to_bytes()));
+    }
+    if let Some(walls) = &baked.walls {
+        sections.push((format::WALLS, walls_to_bytes(&walls.planes, &walls.cells)));
+    }
+    sections
 }
 
 /// To 3 %: five digits of eleven, the others 0. What is too large for f16 stays as it is.
@@ -276,7 +304,7 @@ fn deringing_record(baked: &Baked, windows: &[Option<f32>]) -> Option<DeringingR
 fn node_sh(baked: &Baked, node: usize) -> RadianceSh {
     let mut sh = RadianceSh::zero(baked.bands);
     let values = baked.node(node);
-    sh.coefficients.as_flattened_mut()[..values.len()].copy_from_slice(values);
+    sh.coefficients.as_flattened_mut()[..values.len()].copy_from_slice(&values);
     sh
 }
 
@@ -309,7 +337,7 @@ impl Numbers {
 
 /// Section `RSH ` of a packed volume.
 struct PackedCoefficients {
-    bytes: Vec<u8>,
+    content: Content,
     step: f32,
     record: Option<PackingRecord>,
 }
@@ -317,40 +345,51 @@ struct PackedCoefficients {
 /// With the step that is given, else with the coarsest of a row, 2 % apart, that leaves 95 % of the baked nodes within `error`.
 ///
 /// A formula would have to know how much of a node's E lies in its band 0: the same error takes steps of 0.0029 to 0.0036.
-fn pack_coefficients(baked: &Baked, windows: &[Option<f32>], error: f64, step: Option<f32>) -> PackedCoefficients {
-    assert!(Precision::PACKED_ERRORS.contains(&error), "error {error} not in {:?}", Precision::PACKED_ERRORS);
-    let count = baked.sh.len() / baked.len().max(1);
-    let errors_with = |step: f32| {
-        let baked_nodes = (0..baked.len()).into_par_iter().filter(|&node| baked.is_valid(node));
-        let errors: Vec<f64> =
-            baked_nodes.map(|node| packing_error(&windowed(baked, windows, node), count, step)).collect();
-        ErrorSummary::of(errors.into_iter())
-    };
-    let asked = step;
-    let step = asked.unwrap_or_else(|| {
-        // A row of steps: L0 in even light takes 2.4 times the error, L2 0.6.
-        let step_of = |place: u32| (3.0 * error * (-f64::from(place) / 32.0).exp2()) as f32;
-        // `fine` is fine enough, `coarse` and what lies before it is not: halve what is between.
-        let (mut coarse, mut fine) =
-            (0, (0..).take_while(|&place| step_of(place) >= *packed::STEPS.start()).count() as u32);
-        while fine - coarse > 1 {
-            let middle = coarse.midpoint(fine);
-            match errors_with(step_of(middle)) {
-                Some(summary) if summary.p95 > error => coarse = middle,
-                _ => fine = middle,
-            }
-        }
-        step_of(fine).max(*packed::STEPS.start())
-    });
-    let added_error = if asked.is_none() { errors_with(step) } else { None };
+fn pack_coefficients(baked: &Baked, windows: &[Option<f32>], error: f64, settings: PackSettings) -> PackedCoefficients {
+    let count = baked.sh.width();
+    let step = settings.step.unwrap_or_else(|| coarsest_step(baked, windows, error));
+    let record = settings.step.is_none().then(|| errors_with(baked, windows, step)).flatten();
     let node_numbers = |node: usize, numbers: &mut [i16]| {
         packed::quantise_node(&windowed(baked, windows, node).coefficients.as_flattened()[..count], step, numbers);
     };
-    PackedCoefficients {
-        bytes: packed::numbers_to_bytes(baked.len(), count + 1, node_numbers),
-        step,
-        record: added_error.map(|added_error| PackingRecord { step, added_error }),
+    let raw_size = 2 * (baked.len() * (count + 1)) as u64;
+    let raw = || Content::Raw(packed::numbers_to_bytes(baked.len(), count + 1, node_numbers));
+    let content = match settings.zstd {
+        // A compressor wants the bytes themselves.
+        true => raw(),
+        false => match packed::numbers_to_bits(baked.len(), count + 1, node_numbers) {
+            bits if (bits.len() as u64) < raw_size => Content::Bits { bits, raw_size },
+            _ => raw(),
+        },
+    };
+    PackedCoefficients { content, step, record: record.map(|added_error| PackingRecord { step, added_error }) }
+}
+
+/// What packing with a step adds to the error of baked nodes.
+fn errors_with(baked: &Baked, windows: &[Option<f32>], step: f32) -> Option<ErrorSummary> {
+    let count = baked.sh.width();
+    let baked_nodes = (0..baked.len()).into_par_iter().filter(|&node| baked.is_valid(node));
+    let errors: Vec<f64> =
+        baked_nodes.map(|node| packing_error(&windowed(baked, windows, node), count, step)).collect();
+    ErrorSummary::of(errors.into_iter())
+}
+
+/// The coarsest step of a row that leaves 95 % of the baked nodes within `error`.
+fn coarsest_step(baked: &Baked, windows: &[Option<f32>], error: f64) -> f32 {
+    assert!(Precision::PACKED_ERRORS.contains(&error), "error {error} not in {:?}", Precision::PACKED_ERRORS);
+    // A row of steps: L0 in even light takes 2.4 times the error, L2 0.6.
+    let step_of = |place: u32| (3.0 * error * (-f64::from(place) / 32.0).exp2()) as f32;
+    // `fine` is fine enough, `coarse` and what lies before it is not: halve what is between.
+    let (mut coarse, mut fine) =
+        (0, (0..).take_while(|&place| step_of(place) >= *packed::STEPS.start()).count() as u32);
+    while fine - coarse > 1 {
+        let middle = coarse.midpoint(fine);
+        match errors_with(baked, windows, step_of(middle)) {
+            Some(summary) if summary.p95 > error => coarse = middle,
+            _ => fine = middle,
+        }
     }
+    step_of(fine).max(*packed::STEPS.start())
 }
 
 /// What a node's E is off by once packed and read: root mean square over normals and channels, over that of E.
@@ -385,13 +424,79 @@ pub fn volume_of(nodes: &Nodes, baked: &Baked) -> Volume {
     Volume::parse(&pack(nodes, baked, Records::default(), settings).bytes).expect("what was packed parses")
 }
 
+/// Grid, walls and baked nodes of a volume without its light: it tells which nodes' light is read at a position.
+pub fn frame_of(nodes: &Nodes, baked: &Baked) -> Volume {
+    let (kind, counts) = kind_of(nodes);
+    let (min, max) = bounds(nodes);
+    let (encoding, scale) = (Encoding::Packed, *packed::STEPS.start());
+    let header = Header { kind, counts, bands: 0, encoding, scale, units: Units::Radiance, min, max };
+    let count = header.values_per_node() + 1;
+    let raw_size = 2 * (nodes.len() * count) as u64;
+    let dark = match packed::numbers_to_bits(nodes.len(), count, |_, numbers| numbers.fill(0)) {
+        bits if (bits.len() as u64) < raw_size => Content::Bits { bits, raw_size },
+        _ => Content::Raw(vec![0; raw_size as usize]),
+    };
+    let rest = place_sections(nodes, baked).into_iter().map(|(id, bytes)| (id, Content::Raw(bytes)));
+    let sections = std::iter::once((format::RADIANCE, dark)).chain(rest).collect();
+    Volume::parse(&assemble(&header, sections, false)).expect("what was packed parses")
+}
+
+/// Some nodes of a volume as an engine reads them from its file, as points: numbers are those of the whole.
+pub fn part_as_read(baked: &Baked, settings: PackSettings, some: &[u32]) -> Volume {
+    let numbers = match settings.precision {
+        Precision::F32 | Precision::Packed { .. } => Numbers { encoding: Encoding::F32, scale: 1.0 },
+        Precision::F16 => Numbers { encoding: Encoding::F16, scale: f16_scale(baked) },
+    };
+    let windows = if settings.dering { deringing_windows(baked, numbers) } else { Vec::new() };
+    let mut step = settings.step;
+    // A reader's numbers follow from the largest ones, and from the least: those nodes come along.
+    let mut extremes = Vec::new();
+    if let Precision::Packed { error } = settings.precision {
+        let noise = || StatisticsRecord::of(baked).relative_error.map(|error| error.median);
+        let error = error.unwrap_or_else(|| Precision::packed_error(noise()));
+        let found = step.unwrap_or_else(|| coarsest_step(baked, &windows, error));
+        step = Some(found);
+        extremes = packed_extremes(baked, &windows, found);
+    } else {
+        let sizes = (0..baked.len()).map(|node| (node, largest(&baked.node(node))));
+        extremes.extend(sizes.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(node, _)| node));
+    }
+    let rows = || some.iter().map(|node| *node as usize).chain(extremes.iter().copied());
+    let part = Baked::of_rows(baked.bands, baked.sh.selected(rows()));
+    let places = (0..part.len()).map(|node| glam::DVec3::X * node as f64).collect();
+    let packing = PackSettings { zstd: false, step, ..settings };
+    let bytes = pack(&Nodes::Points(places), &part, Records::default(), packing).bytes;
+    Volume::parse(&bytes).expect("what was packed parses")
+}
+
+/// The nodes with the least brightness and the greatest, and that with the largest number.
+fn packed_extremes(baked: &Baked, windows: &[Option<f32>], step: f32) -> Vec<usize> {
+    let count = baked.sh.width();
+    let figures = |node: usize| {
+        let mut numbers = [0; packed::MAX_NUMBERS];
+        let mut restored = [0.0; packed::MAX_NUMBERS - 1];
+        let sh = windowed(baked, windows, node);
+        packed::quantise_node(&sh.coefficients.as_flattened()[..count], step, &mut numbers[..=count]);
+        packed::restore_node(&numbers[..=count], step, &mut restored[..count]);
+        (numbers[0], largest(&restored[..count]), node)
+    };
+    let all = || (0..baked.len()).into_par_iter().map(figures);
+    let lit = || all().filter(|(code, ..)| *code > 0);
+    let least = lit().min_by_key(|(code, _, node)| (*code, *node));
+    let most = lit().max_by_key(|(code, _, node)| (*code, *node));
+    let large = all().max_by(|a, b| a.1.total_cmp(&b.1).then(a.2.cmp(&b.2)));
+    [least, most, large].into_iter().flatten().map(|(.., node)| node).collect()
+}
+
 /// Compresses what gains by it, and puts directory and sections one behind the other.
-fn assemble(header: &Header, sections: Vec<([u8; 4], Vec<u8>)>, compress: bool) -> Vec<u8> {
+fn assemble(header: &Header, sections: Vec<([u8; 4], Content)>, compress: bool) -> Vec<u8> {
     let (mut entries, stored): (Vec<SectionEntry>, Vec<Vec<u8>>) = sections
         .into_iter()
-        .map(|(id, raw)| {
-            let raw_size = raw.len() as u64;
-            let (codec, filter, bytes) = stored(header, id, raw, compress);
+        .map(|(id, content)| {
+            let (raw_size, (codec, filter, bytes)) = match content {
+                Content::Raw(raw) => (raw.len() as u64, stored(header, id, raw, compress)),
+                Content::Bits { bits, raw_size } => (raw_size, (Codec::Bits, Filter::None, bits)),
+            };
             let (stored_size, crc32) = (bytes.len() as u64, crc32fast::hash(&bytes));
             (SectionEntry { id, codec, filter, offset: 0, stored_size, raw_size, crc32 }, bytes)
         })
@@ -453,21 +558,27 @@ fn compressed(header: &Header, id: [u8; 4], raw: &[u8]) -> (Codec, Filter, Vec<u
 }
 
 /// Coefficients, one plane per coefficient and channel. The first three planes are band 0, which no window changes.
-fn planes(values: &[f32], windows: &[Option<f32>], nodes: usize, numbers: Numbers) -> Vec<u8> {
-    let stride = values.len() / nodes.max(1);
+/// `value` is that of a node in a plane.
+fn planes(
+    value: impl Fn(usize, usize) -> f32,
+    stride: usize,
+    windows: &[Option<f32>],
+    nodes: usize,
+    numbers: Numbers,
+) -> Vec<u8> {
     let weight = |plane: usize, node: usize| windows.get(node).copied().flatten().filter(|_| plane >= 3);
-    let value = |plane: usize, node: usize| {
-        let value = values[node * stride + plane];
+    let windowed = |plane: usize, node: usize| {
+        let value = value(node, plane);
         weight(plane, node).map_or(value, |weight| value * weight)
     };
     let places = (0..stride).flat_map(|plane| (0..nodes).map(move |node| (plane, node)));
     match numbers.encoding {
-        Encoding::F32 | Encoding::Packed => floats(places.map(|(plane, node)| value(plane, node))),
+        Encoding::F32 | Encoding::Packed => floats(places.map(|(plane, node)| windowed(plane, node))),
         Encoding::F16 => {
             let inverse = 1.0 / numbers.scale;
             let half = |value: f32| f16::from_f32(value.min(f16::MAX.to_f32()));
-            let mut bytes = Vec::with_capacity(2 * values.len());
-            places.for_each(|(plane, node)| bytes.extend(half(value(plane, node) * inverse).to_le_bytes()));
+            let mut bytes = Vec::with_capacity(2 * stride * nodes);
+            places.for_each(|(plane, node)| bytes.extend(half(windowed(plane, node) * inverse).to_le_bytes()));
             bytes
         }
     }
@@ -475,9 +586,13 @@ fn planes(values: &[f32], windows: &[Option<f32>], nodes: usize, numbers: Number
 
 /// The power of two that brings the largest coefficient just under half of f16's largest number: nothing
 /// overflows, and as little as can be falls into the subnormals.
-fn f16_scale(values: &[f32]) -> f32 {
-    let largest = values.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+fn f16_scale(baked: &Baked) -> f32 {
+    let largest = (0..baked.len()).fold(0.0f32, |m, node| m.max(largest(&baked.node(node))));
     if largest == 0.0 { 1.0 } else { (largest.log2().ceil() - 15.0).clamp(-100.0, 100.0).exp2() }
+}
+
+fn largest(values: &[f32]) -> f32 {
+    values.iter().fold(0.0, |m, v| m.max(v.abs()))
 }
 
 fn bounds(nodes: &Nodes) -> ([f64; 3], [f64; 3]) {

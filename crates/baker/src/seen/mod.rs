@@ -24,7 +24,7 @@ use crate::bake::{
     root_mean_square,
 };
 use crate::job::records::{SeenErrors, SeenParts, SeenPlace, SeenRecord, SeenSet};
-use crate::pack::volume_of;
+use crate::pack::{PackSettings, Precision, frame_of, part_as_read, volume_of};
 use crate::radiance::RadianceFunction;
 use crate::scene::Scene;
 use crate::{Control, Interrupted};
@@ -156,13 +156,21 @@ impl HeldOut {
         self.rays
     }
 
-    /// The errors of a volume there, and the places where it is worst, those in the air first. `file` is what an engine reads,
-    /// `baked` was stored in it.
-    pub fn errors(&self, nodes: &Nodes, baked: &Baked, file: &Volume) -> (SeenRecord, Vec<SeenPlace>) {
-        let stored = Stored { exact: volume_of(nodes, baked), noise: errors_of(baked), baked, file };
-        let set = |places: &Places| set_of(&places.found(&stored)).unzip();
-        let [(air, in_the_air), (surfaces, on_surfaces)] = [set(&self.air), set(&self.surfaces)];
-        let gdibl_runtime::format::Header { min, max, .. } = *file.header();
+    /// The errors of a volume there, packed so, and the places where it is worst, those in the air first. Of its nodes those are looked
+    /// at that stand around a place.
+    pub fn errors(&self, nodes: &Nodes, baked: &Baked, packing: PackSettings) -> (SeenRecord, Vec<SeenPlace>) {
+        let frame = frame_of(nodes, baked);
+        let around = [&self.air, &self.surfaces].map(|places| places.around(&frame));
+        let mut some: Vec<u32> = around.iter().flatten().flat_map(|(nodes, _)| *nodes).collect();
+        some.sort_unstable();
+        some.dedup();
+        let exact = PackSettings { precision: Precision::F32, ..PackSettings::default() };
+        let [file, exact] = [packing, exact].map(|packing| part_as_read(baked, packing, &some));
+        let stored = Stored { frame, some, file, exact, floor: floor_of(baked), baked };
+        let set = |places: &Places, around: &[Around]| set_of(&places.found(around, &stored)).unzip();
+        let [(air, in_the_air), (surfaces, on_surfaces)] =
+            [set(&self.air, &around[0]), set(&self.surfaces, &around[1])];
+        let gdibl_runtime::format::Header { min, max, .. } = *stored.frame.header();
         let kinds = [(true, in_the_air), (false, on_surfaces)].into_iter();
         let places =
             kinds.flat_map(|(in_the_air, places)| places.into_iter().flatten().map(move |place| (in_the_air, place)));
@@ -172,29 +180,45 @@ impl HeldOut {
     }
 }
 
+/// The nodes that light is read from at a place, and their weights.
+type Around = ([u32; 8], [f32; 8]);
+
 /// A volume whose errors are asked for.
 struct Stored<'a> {
-    /// As it was baked, before it was packed.
+    /// All of it but its light.
+    frame: Volume,
+    /// The nodes around places, in order.
+    some: Vec<u32>,
+    /// Their light as an engine reads it.
+    file: Volume,
+    /// The same before it was packed.
     exact: Volume,
-    /// Standard error of E at each node.
-    noise: Vec<f64>,
+    /// Errors of nodes are relative to this E at least.
+    floor: f64,
     baked: &'a Baked,
-    /// As an engine reads it.
-    file: &'a Volume,
 }
 
 impl Places {
-    fn found(&self, stored: &Stored) -> Vec<Found> {
-        let Stored { exact, baked, file, .. } = stored;
+    fn around(&self, frame: &Volume) -> Vec<Around> {
+        let around = |SurfacePlace { position, normal }: &SurfacePlace| {
+            frame.blended_nodes(position.to_array(), normal.to_array()).expect("places are held out of grids")
+        };
+        self.places.iter().map(around).collect()
+    }
+
+    fn found(&self, around: &[Around], stored: &Stored) -> Vec<Found> {
+        let Stored { frame, some, file, exact, floor, baked } = stored;
         let precise = self.baked.len();
         let here = (precise > 0).then(|| volume_of(&points_of(&self.places[..precise]), &self.baked));
-        let noise_here = errors_of(&self.baked);
+        let floor_here = floor_of(&self.baked);
         let found = |number: usize| {
             let SurfacePlace { position, normal } = self.places[number];
             let Gathered { irradiance: expected, standard_error, .. } = self.truth[number];
             let expected = expected.as_vec3();
+            let (own, weights) = around[number];
+            let own = own.map(|node| some.binary_search(&node).expect("it is around a place") as u32);
             let [stored_light, as_baked] =
-                [*file, exact].map(|volume| Vec3::from(volume.irradiance_f64(position.to_array(), normal.to_array())));
+                [file, exact].map(|volume| Vec3::from(volume.irradiance_of_nodes(&own, weights, normal.to_array())));
             let to_bands = here.as_ref().filter(|_| number < precise).map(|here| {
                 let light = here.node_sh(number).truncate(baked.bands).convolve();
                 Vec3::from(light.evaluate(normal.to_array()))
@@ -204,14 +228,14 @@ impl Places {
                 light: size(expected),
                 difference: size(stored_light - expected),
                 noise_of_truth: size(standard_error.as_vec3()),
-                noise: noise_between(exact, baked, &stored.noise, position),
+                noise: noise_between(frame, baked, |node| error_of(baked, node, *floor), position),
                 to_bands: to_bands.map(|to_bands| ToBands {
-                    noise: noise_here[number],
+                    noise: error_of(&self.baked, number, floor_here),
                     between: size(as_baked - to_bands),
                     left_out: size(expected - to_bands),
                 }),
                 packing: size(stored_light - as_baked),
-                systematic: systematic_between(exact, baked, position),
+                systematic: systematic_between(frame, baked, position),
             }
         };
         let is_told = |place: &usize| self.truth[*place].standard_error.is_finite();
@@ -219,11 +243,17 @@ impl Places {
     }
 }
 
-/// Standard error of E of each node.
-fn errors_of(baked: &Baked) -> Vec<f64> {
-    let sizes: Vec<f64> = (0..baked.len()).map(|node| root_mean_square(&irradiance_of(baked.node(node)))).collect();
-    let floor = FLOOR * median(baked.valid_nodes().map(|node| sizes[node]));
-    (0..baked.len()).map(|node| f64::from(baked.relative_error[node]) * sizes[node].max(floor)).collect()
+fn size_of_node(baked: &Baked, node: usize) -> f64 {
+    root_mean_square(&irradiance_of(&baked.node(node)))
+}
+
+fn floor_of(baked: &Baked) -> f64 {
+    FLOOR * median(baked.valid_nodes().map(|node| size_of_node(baked, node)))
+}
+
+/// Standard error of E of a node.
+fn error_of(baked: &Baked, node: usize, floor: f64) -> f64 {
+    f64::from(baked.relative_error[node]) * size_of_node(baked, node).max(floor)
 }
 
 fn points_of(places: &[SurfacePlace]) -> Nodes {
@@ -332,8 +362,8 @@ fn nodes_around(volume: &Volume, baked: &Baked, position: DVec3) -> Vec<(usize, 
 }
 
 /// Standard error of what nodes say between them; `errors` are their own.
-fn noise_between(volume: &Volume, baked: &Baked, errors: &[f64], position: DVec3) -> f64 {
-    let squares = nodes_around(volume, baked, position).into_iter().map(|(node, w)| (w * errors[node]).powi(2));
+fn noise_between(volume: &Volume, baked: &Baked, error: impl Fn(usize) -> f64, position: DVec3) -> f64 {
+    let squares = nodes_around(volume, baked, position).into_iter().map(|(node, w)| (w * error(node)).powi(2));
     squares.sum::<f64>().sqrt()
 }
 

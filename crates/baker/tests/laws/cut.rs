@@ -80,7 +80,7 @@ fn nodes_of_a_coarser_volume_are_those_of_the_finer_one_at_their_places() {
                 let place = place_of(node).map(|p| p << steps);
                 let own = volume.bricks().map_or(Some(fine.index_of(place)), |bricks| bricks.node_at(place));
                 let own = volume.node_sh(own.expect("a node of the finer one") as usize);
-                assert_eq!(part.baked.node(node), &own.coefficients.as_flattened()[..part.baked.node(node).len()]);
+                assert_eq!(*part.baked.node(node), own.coefficients.as_flattened()[..part.baked.node(node).len()]);
             }
         }
     }

@@ -21,7 +21,7 @@ fn change_with_size_and_place(scene: &Scene, bound: f64) {
                 Placement { scale, rotation: DQuat::IDENTITY, offset: DVec3::new(offset, -offset, offset / 3.0) };
             let (scene, probes) = (placement.scene(scene), placement.probes(&probes));
             let baked = bake_points(&gdibl(&scene, &probes, None), &placement.points(&places()), &uniform);
-            let error = difference(&baked.sh, &reference.sh);
+            let error = difference(&baked.sh.to_vec(), &reference.sh.to_vec());
             println!("scale {scale:e}, offset {offset:e}: {error:.1e}");
             // One ray of 512 that falls to the other side of an edge would already count 1e-2.
             assert!(error < bound, "scale {scale:e}, offset {offset:e}: {error:.1e}");

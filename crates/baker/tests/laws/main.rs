@@ -13,6 +13,7 @@ mod geometry;
 mod level;
 mod light;
 mod packing;
+mod paged;
 mod paths;
 mod probes;
 mod regions;

@@ -255,7 +255,7 @@ fn inside_of_a_dark_solid_is_no_valid_node_and_a_dark_room_is() {
     let baked = bake_points(&path, &points, &SMALL);
     assert_eq!([0, 1, 2].map(|node| baked.is_valid(node)), [true, false, true]);
     assert!(baked.node(2).iter().all(|v| *v == 0.0), "dark, and known to be");
-    assert_eq!(baked.node(1), baked.node(0), "filled");
+    assert_eq!(*baked.node(1), *baked.node(0), "filled");
 }
 
 #[test]

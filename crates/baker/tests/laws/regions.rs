@@ -62,8 +62,8 @@ fn small_lamp_in_pixels_is_found_and_tells_what_uniform_directions_tell() {
     let slow = bake_at(&function, &POINTS, 1 << 21, false, 1);
     let fast = bake_at(&function, &POINTS, 1 << 14, true, 2);
     for node in 0..POINTS.len() {
-        let light = rms_irradiance(fast.node(node));
-        let off = difference_of(slow.node(node), fast.node(node)) / light;
+        let light = rms_irradiance(&fast.node(node));
+        let off = difference_of(&slow.node(node), &fast.node(node)) / light;
         let error = f64::hypot(slow.relative_error[node].into(), fast.relative_error[node].into());
         println!("node {node}: E {light:.3}, off by {:.2} %, {:.2} standard errors", 100.0 * off, off / error);
         assert!(light > 1.2 * std::f64::consts::PI, "node {node}: the lamp counts");
@@ -73,7 +73,7 @@ fn small_lamp_in_pixels_is_found_and_tells_what_uniform_directions_tell() {
     let noise = |importance| {
         let squares = (0..8).flat_map(|seed| {
             let baked = bake_at(&function, &POINTS, 1024, importance, seed);
-            let off = |n: usize| difference_of(baked.node(n), fast.node(n)) / rms_irradiance(fast.node(n));
+            let off = |n: usize| difference_of(&baked.node(n), &fast.node(n)) / rms_irradiance(&fast.node(n));
             [0, 1, 2].map(|node| off(node).powi(2))
         });
         (squares.sum::<f64>() / 24.0).sqrt()

@@ -32,7 +32,7 @@ fn remembered_light_is_that_which_is_found_anew() {
             assert_eq!(anew.sh, remembered.sh, "{blend}");
             continue;
         }
-        let difference = difference(&remembered.sh, &anew.sh);
+        let difference = difference(&remembered.sh.to_vec(), &anew.sh.to_vec());
         println!("{blend}: {difference:.1e}");
         assert!(difference > 0.0, "{blend}: nothing was remembered");
         assert!(difference < 3e-3, "{blend}: {difference}");

@@ -144,7 +144,7 @@ fn node_in_a_solid_steps_out_or_is_left_out() {
         assert!(!inside(moved), "{moved}");
         // The large one: its innermost node, 1.6 m from its surface but for three sides of 0.3 and 0.6 m.
         assert_eq!(baked.standing[node(4, 4, 4)], Standing::Solid, "double-sided {double_sided}");
-        assert!(baked.sh.iter().all(|value| value.is_finite()));
+        assert!(baked.sh.to_vec().iter().all(|value| value.is_finite()));
         for (moved, place) in &baked.moved {
             assert!(baked.is_valid(*moved as usize), "{moved} at {place}");
         }

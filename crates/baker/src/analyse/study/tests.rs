@@ -2,6 +2,7 @@ use super::*;
 use crate::analyse::{CompareSettings, Truth, TruthLight, TruthNoise, compare, radiance_sh};
 use crate::bake::{Baked, Nodes, Standing};
 use crate::pack::volume_of;
+use crate::rows::Table;
 use crate::sampling::{Sampler, Stream};
 use gdibl_runtime::RadianceSh;
 use glam::DVec3;
@@ -48,7 +49,7 @@ fn positions() -> Vec<[f64; 3]> {
 fn volume(light: &[RadianceSh]) -> Volume {
     let baked = Baked {
         bands: 2,
-        sh: light.iter().flat_map(|l| l.coefficients[..9].to_vec()).flatten().collect(),
+        sh: Table::held(27, light.iter().flat_map(|l| l.coefficients[..9].to_vec()).flatten().collect()),
         standing: vec![Standing::Open; PLACES],
         moved: Vec::new(),
         walls: None,

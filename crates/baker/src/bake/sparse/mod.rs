@@ -304,10 +304,10 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         for (node, weight) in corners.nodes.iter().zip(weights) {
             let slot = self.known[&self.grid.index_of(bricks.place_of(*node as usize))] as usize;
             if sites.standing[slot] == Standing::Open {
-                let light = irradiance_of(sampled.node(slot, self.settings));
+                let light = irradiance_of(&sampled.node(slot));
                 sum.iter_mut().zip(light).for_each(|(sum, light)| *sum += weight * light);
                 total += weight;
-                variance += (f64::from(weight) * sampled.estimates[slot].standard_error).powi(2);
+                variance += (f64::from(weight) * sampled.estimates.first(slot).standard_error).powi(2);
             }
         }
         if total < 1e-6 {
@@ -320,8 +320,8 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
     /// By how many tolerances light is off what was baked at a slot, more than noise explains: `variance` is that of E in it.
     fn off_by(&self, slot: usize, light: &Irradiance, variance: f64) -> f64 {
         let Batch { sampled, scale: Scale { median, .. }, .. } = self.batch();
-        let estimate = &sampled.estimates[slot];
-        let off = root_mean_square(&difference(light, &irradiance_of(sampled.node(slot, self.settings))));
+        let estimate = sampled.estimates.first(slot);
+        let off = root_mean_square(&difference(light, &irradiance_of(&sampled.node(slot))));
         let noise = NOISE * (variance + estimate.standard_error.powi(2));
         let beyond = (off.powi(2) - noise).max(0.0).sqrt();
         // All black: nothing is off.
@@ -338,7 +338,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         }
         let mut mean = [0.0; 27];
         for slot in open() {
-            let light = irradiance_of(sampled.node(slot, self.settings));
+            let light = irradiance_of(&sampled.node(slot));
             mean.iter_mut().zip(light).for_each(|(mean, light)| *mean += light / count);
         }
         open().all(|slot| self.off_by(slot, &mean, 0.0) <= 1.0)
@@ -427,7 +427,7 @@ impl<'a, F: RadianceFunction> Refiner<'a, F> {
         baked.samples += checks.sampled.samples;
 
         let error = |Batch { sites, sampled, .. }: &Batch, slot: usize, position: DVec3| {
-            let light = irradiance_of(sampled.node(slot, self.settings));
+            let light = irradiance_of(&sampled.node(slot));
             (sites.standing[slot] == Standing::Open)
                 .then(|| error_at(&volume, position.into(), &light, scale.median))
                 .flatten()

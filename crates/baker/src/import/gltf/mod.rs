@@ -42,7 +42,7 @@ use std::path::{Path, PathBuf};
 use glam::DAffine3;
 
 use super::files::{Disk, Files};
-use crate::scene::{Mesh, Metals, ProbeMarker, Role, Scene};
+use crate::scene::{Mesh, Metals, ProbeMarker, Role, Scene, VolumeMarker};
 use crate::{Error, Result};
 use buffers::Buffers;
 use document::Document;
@@ -122,6 +122,8 @@ pub struct Named {
     pub files: Vec<PathBuf>,
     /// The probes that its nodes mark.
     pub probe_markers: Vec<ProbeMarker>,
+    /// The boxes of volumes that its nodes place.
+    pub volume_markers: Vec<VolumeMarker>,
 }
 
 /// What the level at `path` names.
@@ -130,11 +132,11 @@ pub fn named_by(files: &dyn Files, path: &Path) -> Result<Named> {
     let mut findings = Findings::default();
     let document = Document::read(files, &container::split(&bytes, path, &mut findings)?, path, &mut findings)?;
     let nodes = hierarchy::place_nodes(&document, None, &mut findings)?;
-    let (probe_markers, _) = markers::read(&document, &nodes, &mut findings)?;
+    let (probe_markers, volume_markers) = markers::read(&document, &nodes, &mut findings)?;
     let buffers = document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
     let images = document.images.iter().filter_map(|image| image.uri.as_deref());
     let named = buffers.chain(images).filter_map(|uri| uri::file(uri, path));
-    Ok(Named { files: named.filter(|file| file.is_file()).collect(), probe_markers })
+    Ok(Named { files: named.filter(|file| file.is_file()).collect(), probe_markers, volume_markers })
 }
 
 /// Reads a level from its bytes. `path` names it in messages, and its folder is where files are looked for.

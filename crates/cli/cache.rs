@@ -6,9 +6,10 @@
 //! a lock     FOLDER/NAME.lock: who makes the entry holds it
 //! ```
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use gdibl_baker::pack::write_whole;
 
@@ -20,6 +21,7 @@ const MAGIC: &[u8; 8] = b"GDIBLCA1";
 const SUFFIX: &str = "gdibl-cache";
 /// Entries together are no larger: those that were used longest ago go.
 const MOST_BYTES: u64 = 4 << 30;
+const DAY: Duration = Duration::from_secs(24 * 3600);
 
 /// A folder of entries.
 #[derive(Debug, Clone)]
@@ -30,7 +32,7 @@ pub struct Cache {
 /// The right to make an entry. It ends with the program, however it ends.
 pub struct Making {
     path: PathBuf,
-    _file: std::fs::File,
+    _file: File,
 }
 
 impl Drop for Making {
@@ -98,6 +100,7 @@ impl Cache {
     }
 
     fn trim(&self) {
+        self.remove_locks();
         let entries = std::fs::read_dir(&self.folder).into_iter().flatten().flatten();
         let mut all: Vec<(SystemTime, u64, PathBuf)> = entries
             .filter(|entry| entry.path().extension().is_some_and(|extension| extension == SUFFIX))
@@ -115,5 +118,41 @@ impl Cache {
             total -= size;
             let _ = std::fs::remove_file(path);
         }
+    }
+
+    /// Locks of programs that were killed go once they are a day old, if nobody holds them.
+    fn remove_locks(&self) {
+        let entries = std::fs::read_dir(&self.folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        for path in entries.filter(|path| path.extension().is_some_and(|extension| extension == "lock")) {
+            let is_old = |found: std::fs::Metadata| found.modified().ok()?.elapsed().ok().map(|age| age > DAY);
+            let Ok(file) = File::open(&path) else { continue };
+            if file.metadata().ok().and_then(is_old).unwrap_or(false) && file.try_lock().is_ok() {
+                let _ = std::fs::remove_file(&path);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn locks_of_killed_programs_go_once_they_are_a_day_old() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = Cache::new(Some(folder.path().into()));
+        let lock = |name: &str, hours: u32| {
+            let file = File::create(folder.path().join(name)).unwrap();
+            file.set_modified(SystemTime::now() - hours * DAY / 24).unwrap();
+            file
+        };
+        drop(lock("old.lock", 25));
+        drop(lock("new.lock", 23));
+        let held = lock("held.lock", 25);
+        held.lock().unwrap();
+        cache.put("entry", b"light");
+        let left = |name: &str| folder.path().join(name).exists();
+        assert_eq!(["old.lock", "new.lock", "held.lock"].map(left), [false, true, true]);
+        assert_eq!(cache.get("entry").as_deref(), Some(&b"light"[..]));
     }
 }

@@ -1,8 +1,8 @@
 //! All that was asked for in a bake, as names and values: two requests that are equal give the same bytes.
 
-use gdibl_baker::import::gltf::named_by;
-use gdibl_baker::job::NodeKind;
+use gdibl_baker::import::gltf::{Named, named_by};
 use gdibl_baker::job::records::InputRecord;
+use gdibl_baker::job::{NodeKind, ROWS, Row, Settings};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -19,10 +19,10 @@ pub const PRECISION: &str = "quality.precision";
 pub struct Request(Vec<(String, String)>);
 
 impl Request {
-    /// Reads all inputs, and parses none but the level's table of contents.
-    pub fn of(config: &Config, no_capture: bool) -> Result<Request, Fault> {
-        let markers = named_by(config.files.as_ref(), &config.level)?.probe_markers;
-        let probes = probe_entries(config, &markers)?;
+    /// Reads all inputs, and parses none but the level's table of contents. `is_given`: a setting was given for this very run.
+    pub fn of(config: &Config, no_capture: bool, is_given: impl Fn(&Row) -> bool) -> Result<Request, Fault> {
+        let Named { probe_markers, volume_markers, .. } = named_by(config.files.as_ref(), &config.level)?;
+        let probes = probe_entries(config, &probe_markers)?;
         let inputs = inputs_of(config, &probes)?;
         let mut all = vec![("the program".into(), PROGRAM.join(" ") + " " + env!("GDIBL_SOURCE"))];
         for InputRecord { role, name, blake3, .. } in inputs {
@@ -41,7 +41,20 @@ impl Request {
         });
         all.push(("the distant panorama".into(), sky));
         all.push(("captured probes".into(), format!("{asked:?}, none: {no_capture}")));
+        // It is not recorded: the file says how many nodes came of it.
+        all.extend(config.settings.grid.budget.map(|seconds| ("grid.budget".into(), format!("{seconds:?}"))));
+        // A flag wins over the setting of a box also where it says what is the default.
+        let of_boxes = volume_markers.iter().flat_map(|marker| &marker.settings);
+        let overruled = ROWS.iter().filter(|row| row.is_of_volumes() && is_given(row));
+        let overruled = overruled.filter(|row| of_boxes.clone().any(|(name, _)| name == row.name));
+        all.extend(overruled.map(|row| (row.full_name(), "wins over those of boxes".into())));
         Ok(Request(all))
+    }
+
+    /// That of one volume of a level that places several, which has settings of its own.
+    pub fn of_volume(&self, name: &str, settings: &Settings) -> Request {
+        let own = settings.recorded().into_iter().map(|(name, value)| (name, value.unwrap_or("not set".into())));
+        Request(self.0.iter().cloned().chain(own).chain([("the volume".into(), name.into())]).collect())
     }
 
     /// An equal one is another with the same inputs and settings. Not so where points come from standard input.

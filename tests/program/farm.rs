@@ -1,7 +1,7 @@
 //! Bakes that are killed, repeated, divided and run side by side. `tools/farm` has the tests that take minutes.
 
 use crate::capture::lamp_room;
-use crate::common::{Folder, Run};
+use crate::common::{Folder, Run, solid_of};
 use serde_json::Value;
 use std::process::Stdio;
 use std::time::Duration;
@@ -60,6 +60,25 @@ fn what_is_left_of_another_bake_is_not_taken_and_it_is_said_what_differs() {
         folder.ok(&[&QUICK[..], &["-o", "c.gdibl", "--force"]].concat());
     }
     assert!(folder.read("c.gdibl") == baked(&folder, &QUICK, "d.gdibl"));
+}
+
+#[test]
+fn a_bake_with_a_budget_goes_on_with_the_nodes_that_it_chose() {
+    let folder = lamp_room(|_| {});
+    // It has time for all: 512 nodes.
+    let bake = ["bake", "room.glb", "--max-nodes", "512", "--samples", "1024", "--max-seen-error", "1e-6"];
+    let with_budget = [&bake[..], &["--budget", "1000"]].concat();
+    on_the_way(&folder, &with_budget, "a.gdibl", |child| child.kill().unwrap());
+    let run = folder.run(&[&with_budget[..], &["-o", "a.gdibl"]].concat());
+    assert!(run.code == 5 && run.err.contains("goes on from"), "{}", run.err);
+    let again = folder.run(&[&with_budget[..], &["-o", "a.gdibl"]].concat());
+    assert!(again.code == 5 && again.out.contains("unchanged"), "{}", again.out);
+    // Another budget is another bake.
+    let other = folder.run(&[&bake[..], &["--budget", "2000", "-o", "a.gdibl"]].concat());
+    assert!(!other.out.contains("unchanged"), "{}", other.out);
+    folder.run(&[&bake[..], &["-o", "b.gdibl"]].concat());
+    let nodes = |file: &str| folder.inspect(file)["statistics"]["nodes"].clone();
+    assert_eq!(nodes("a.gdibl"), nodes("b.gdibl"));
 }
 
 #[cfg(unix)]
@@ -150,7 +169,11 @@ fn a_depfile_names_all_that_was_read() {
 
 #[test]
 fn shards_in_any_order_give_the_bytes_of_one_bake() {
-    let folder = lamp_room(|_| {});
+    // With an object that no probe has seen.
+    let folder = lamp_room(|level| {
+        let node = serde_json::json!({ "extras": { "gdibl_role": "scene" } });
+        level.object(&solid_of([-0.5, 0.0, -0.5], [0.5, 0.6, 0.5]), 0, node);
+    });
     folder.write("BAKE.toml", "level = \"room.glb\"\n[capture]\nwidth = 32\nsamples = 4\nmost = 2\n");
     // Captured probes and a pilot; coarse grids that tell the spacing; a sparse grid.
     for (bake, counts) in [

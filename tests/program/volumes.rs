@@ -141,6 +141,49 @@ fn bytes_depend_neither_on_threads_nor_on_what_is_baked_beside() {
 }
 
 #[test]
+fn volumes_that_are_unchanged_are_not_baked_again() {
+    let folder = baked();
+    let files = ["Corner.gdibl", "hall.gdibl", LIST];
+    let first = files.map(|file| folder.read(file));
+    let bake = |more: &[&str]| folder.ok(&[&["bake", "level.glb"], &SKY[..], more].concat());
+    for more in [&[][..], &["--threads", "1"], &["--volume", "hall"]] {
+        let said = bake(more);
+        assert!(said.lines().count() == 1 && said.contains("unchanged"), "{more:?}: {said}");
+    }
+    // What is missing or damaged is baked, and nothing else.
+    let count = |said: &str| said.matches("unchanged").count();
+    std::fs::remove_file(folder.path("hall.gdibl")).unwrap();
+    assert_eq!(count(&bake(&[])), 1);
+    folder.write("Corner.gdibl", &first[0][..first[0].len() / 2]);
+    assert_eq!(count(&bake(&[])), 1);
+    folder.write(LIST, b"{}");
+    assert_eq!(bake(&[]).lines().count(), 1);
+    assert_eq!(files.map(|file| folder.read(file)), first);
+    // Settings of all, and of one.
+    assert_eq!(count(&bake(&["--seed", "1"])), 0);
+    assert_eq!(count(&bake(&["--seed", "1", "--force"])), 0);
+    let report: Value = serde_json::from_str(&bake(&["--seed", "1", "--json"])).expect("JSON");
+    assert_eq!(report["volumes"].as_array().map(Vec::len), Some(2));
+    assert!(report["volumes"].as_array().unwrap().iter().all(|volume| volume["unchanged"] == true), "{report}");
+    // Boxes that changed: another level.
+    level(&[hall(), marker("Corner", [2.0, 1.0, 2.5], [1.5, 1.0, 1.5], json!({ "gdibl_volume": 0.5 }))])
+        .write(&folder, "level.glb");
+    assert_eq!(count(&bake(&["--seed", "1"])), 0);
+}
+
+#[test]
+fn a_flag_that_says_what_is_the_default_is_not_taken_for_none() {
+    let folder = Folder::new();
+    level(&[corner()]).write(&folder, "level.glb");
+    let bake = |more: &[&str]| folder.ok(&[&["bake", "level.glb"], &SKY[..], more].concat());
+    bake(&[]);
+    assert_eq!(folder.inspect("level.gdibl")["sh"], "L1");
+    assert!(!bake(&["--sh", "L2"]).contains("unchanged"));
+    assert_eq!(folder.inspect("level.gdibl")["sh"], "L2");
+    assert!(bake(&["--sh", "L2"]).contains("unchanged"));
+}
+
+#[test]
 fn sample_reads_the_list_as_the_runtime_does() {
     let folder = baked();
     let read = |file: &str| Volume::parse(&folder.read(file)).unwrap_or_else(|error| panic!("{error}"));

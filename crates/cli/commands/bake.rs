@@ -3,24 +3,23 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use gdibl_baker::job::records::{ErrorSummary, SettingsRecord, StatisticsRecord};
 use gdibl_baker::job::{Inputs, Job, Made, Method, Row, Wanted, wanted_of};
-use gdibl_baker::pack::{Precision, write_whole};
-use gdibl_runtime::format::{self, Limits, SectionEntry};
+use gdibl_baker::pack::write_whole;
 use serde::Serialize;
 
-use super::baking::{PlanReport, Report, assemble, bake, likely_seconds, plan_text, report_of, seen_text, tell_made};
+use super::baking::{PlanReport, assemble, bake, likely_seconds, plan_text, report_of, tell_made};
 use super::several;
+use super::unchanged::{unchanged, unchanged_shard};
 use crate::cache::Cache;
 use crate::captures::capture_missing;
 use crate::config::{Config, FileFlags, set_threads};
 use crate::fault::Fault;
 use crate::flags::{Given, OfBakes, SettingFlags};
 use crate::inputs::{memory_of, read_inputs};
-use crate::journal::{Head, Journal, Shard, ShardBlocks, remove_stale, scan};
+use crate::journal::{Head, Journal, Shard, ShardBlocks, remove_stale};
 use crate::progress::Shown;
 use crate::report::page::{self, Surroundings};
-use crate::request::{PRECISION, Request, hex};
+use crate::request::{Request, hex};
 use crate::session::{Outcome, Session, say};
 use crate::stages::Stages;
 
@@ -60,8 +59,8 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    fn of_several(&self, shown: Shown) -> several::Asked<'_> {
-        several::Asked { names: &self.volumes, plan: self.plan, no_capture: self.no_capture, shown }
+    fn of_several(&self) -> several::Asked<'_> {
+        several::Asked { names: &self.volumes, no_capture: self.no_capture, force: self.force }
     }
 
     /// Those of the assembly of shards that were baked by these.
@@ -88,13 +87,13 @@ impl Arguments {
 
 /// What `--json` prints of a shard, or of what shards have in common.
 #[derive(Serialize)]
-struct ShardReport {
-    output: Option<String>,
-    shard: Option<String>,
-    wall_seconds: f64,
-    cpu_seconds: f64,
-    bytes: u64,
-    unchanged: bool,
+pub struct ShardReport {
+    pub output: Option<String>,
+    pub shard: Option<String>,
+    pub wall_seconds: f64,
+    pub cpu_seconds: f64,
+    pub bytes: u64,
+    pub unchanged: bool,
 }
 
 pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
@@ -124,7 +123,8 @@ pub fn work(
         let inputs = match placed {
             Placed::One(inputs) => inputs,
             Placed::Several(inputs, wanted) => {
-                return several::run(&arguments.of_several(shown), &config, inputs, wanted, &stages, session);
+                let bake = several::Bake { config: &config, stages: &stages, session, shown };
+                return several::plan(&arguments.of_several(), &bake, inputs, wanted);
             }
         };
         let job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
@@ -134,11 +134,9 @@ pub fn work(
     }
 
     // What is there already is not made again.
-    let request = Request::of(&config, no_capture)?;
+    let request = Request::of(&config, no_capture, is_given(&arguments.settings.given))?;
     let is_repeatable = Request::is_repeatable(&config);
-    // What was found under a budget of time is not found again.
-    let is_timed = config.settings.grid.budget.is_some();
-    if (shard.is_some() || prepare) && (is_timed || !is_repeatable) {
+    if (shard.is_some() || prepare) && (config.settings.grid.budget.is_some() || !is_repeatable) {
         let why = "shards are bakes of the same nodes, which neither --budget nor points of standard input give twice";
         return Err(Fault::Usage(format!("--shard, --prepare: {why}")));
     }
@@ -154,7 +152,7 @@ pub fn work(
     let is_there = |config: &Config| match shard {
         _ if force || prepare || !is_repeatable => None,
         Some(shard) => unchanged_shard(config, &request, shard, &stages),
-        None => unchanged(config, &request, &stages, session),
+        None => unchanged(config, &request, &stages, session).map(Outcome::from),
     };
     let depfile = |config: &Config, outcome: Outcome, shards: &[PathBuf]| {
         write_depfile(arguments.depfile.as_deref(), config, shards).map(|()| outcome)
@@ -173,22 +171,23 @@ pub fn work(
     let mut inputs = match place(&arguments, &mut config, inputs)? {
         Placed::One(inputs) => inputs,
         Placed::Several(inputs, wanted) => {
-            return several::run(&arguments.of_several(shown), &config, inputs, wanted, &stages, session);
+            let head = Head { request, shard: None, arguments: command, folder: folder() };
+            let bake = several::Bake { config: &config, stages: &stages, session, shown };
+            return several::run(&arguments.of_several(), &bake, inputs, wanted, &head);
         }
     };
     inputs.request = if is_repeatable { request.key() } else { [0; 32] };
     let job = Job::prepare(inputs, config.settings.clone(), memory_of(&config.settings))?;
     session.find(&job.inputs.findings);
     job.inputs.check_light(job.method())?;
-    let folder = std::env::current_dir().unwrap_or_default();
     let shared = format!("{}-shared", hex(&request.key()));
-    let head = Head { request: request.clone(), shard, arguments: command, folder };
+    let head = Head { request: request.clone(), shard, arguments: command, folder: folder() };
     let mut journal = if prepare {
         Journal::temporary()?
     } else {
         super::check_output(&config.output)?;
         arguments.report.iter().try_for_each(|page| super::check_output(page))?;
-        Journal::open(&config.output, &head, is_repeatable && !is_timed, &session.cancel)?
+        Journal::open(&config.output, &head, is_repeatable, &session.cancel)?
     };
     // Another bake may have made it while this one waited.
     if let Some(outcome) = is_there(&config) {
@@ -218,6 +217,19 @@ pub fn work(
     }
 }
 
+/// Where this run was started.
+fn folder() -> PathBuf {
+    std::env::current_dir().unwrap_or_default()
+}
+
+/// Whether a setting was given for this very run.
+fn is_given(given: &[Given]) -> impl Fn(&Row) -> bool {
+    |row| {
+        let names: &[&str] = if row.name == "counts" { &["counts", "spacing"] } else { &[row.name] };
+        given.iter().any(|given| given.section == row.section && names.contains(&given.name))
+    }
+}
+
 /// What a level places.
 enum Placed {
     /// One volume; the configuration has the settings of its node, if a node places it.
@@ -227,11 +239,7 @@ enum Placed {
 
 /// Finds out how many volumes there are to be, and takes the settings of an only one.
 fn place(arguments: &Arguments, config: &mut Config, inputs: Inputs) -> Result<Placed, Fault> {
-    let given = &arguments.settings.given;
-    let is_given = |row: &Row| {
-        let names: &[&str] = if row.name == "counts" { &["counts", "spacing"] } else { &[row.name] };
-        given.iter().any(|given| given.section == row.section && names.contains(&given.name))
-    };
+    let is_given = is_given(&arguments.settings.given);
     let mut wanted = wanted_of(&inputs.scene, &config.settings, is_given, &inputs.level)?;
     if wanted.len() > 1 {
         let Arguments { report, shard, prepare, depfile, .. } = arguments;
@@ -241,8 +249,16 @@ fn place(arguments: &Arguments, config: &mut Config, inputs: Inputs) -> Result<P
                 report.is_some(),
                 "gdibl inspect A.gdibl B.gdibl -o PAGE.html makes a page of several volumes",
             ),
-            ("--shard", shard.is_some(), "several volumes are not divided; choose a box with --bounds"),
-            ("--prepare", *prepare, "several volumes are not divided; choose a box with --bounds"),
+            (
+                "--shard",
+                shard.is_some(),
+                "several volumes are not divided; bake each on a machine of its own with --volume NAME",
+            ),
+            (
+                "--prepare",
+                *prepare,
+                "several volumes are not divided; bake each on a machine of its own with --volume NAME",
+            ),
             ("--depfile", depfile.is_some(), "it is a rule for one volume; choose a box with --bounds"),
         ];
         if let Some((flag, _, why)) = asked.into_iter().find(|(_, is_asked, _)| *is_asked) {
@@ -362,100 +378,6 @@ fn write_shard(
     let output = shard.map(|_| output.display().to_string());
     let shard = shard.map(|shard| shard.to_string());
     Ok(Outcome::new(ShardReport { output, shard, wall_seconds, cpu_seconds, bytes, unchanged: false }, text))
-}
-
-/// The shard is there already, whole.
-fn unchanged_shard(config: &Config, request: &Request, shard: Shard, stages: &Stages) -> Option<Outcome> {
-    let mut file = config.output.is_file().then(|| std::fs::File::open(&config.output).ok())??;
-    let found = scan(&mut file).ok().filter(|found| found.is_whole)?;
-    if found.head.request != *request || found.head.shard != Some(shard) {
-        return None;
-    }
-    let output = config.output.display().to_string();
-    let text = format!("{output}: unchanged: it is shard {shard} of this bake; --force bakes it again");
-    let (wall_seconds, cpu_seconds) = stages.total();
-    let bytes = file.metadata().ok()?.len();
-    let report = ShardReport {
-        output: Some(output),
-        shard: Some(shard.to_string()),
-        wall_seconds,
-        cpu_seconds,
-        bytes,
-        unchanged: true,
-    };
-    Some(Outcome::new(report, text))
-}
-
-/// The output is there already: whole, and made from an equal request.
-fn unchanged(config: &Config, request: &Request, stages: &Stages, session: &Session) -> Option<Outcome> {
-    let path = &config.output;
-    // A device may have no end.
-    let bytes = path.is_file().then(|| std::fs::read(path).ok())??;
-    let directory = format::parse_header_and_sections(&bytes).ok()?;
-    let settings: SettingsRecord = super::record(&directory, path, format::SETTINGS).ok()??;
-    if settings.request != request.key() {
-        return None;
-    }
-    // Every section is as it was written.
-    let is_whole = |entry: &SectionEntry| directory.section_bytes(entry.id, &Limits::default()).is_ok();
-    if !directory.sections.iter().all(is_whole) {
-        return None;
-    }
-    let mut statistics: StatisticsRecord = super::record(&directory, path, format::STATISTICS).ok()??;
-    let plan = super::record(&directory, path, format::PLAN).ok()??;
-    // The file says the precision in force: that which was asked for, or which follows from its noise.
-    let precision = match config.settings.quality.precision {
-        Precision::Packed { error: None } => {
-            let error = Precision::packed_error(statistics.relative_error.map(|error| error.median));
-            Precision::Packed { error: Some(error) }
-        }
-        asked => asked,
-    };
-    let recorded = settings.settings.iter().find(|setting| setting.name == PRECISION)?;
-    if recorded.value != Some(precision.to_string()) {
-        return None;
-    }
-    // A bound that was missed is missed. Where the record does not tell, it is baked again.
-    let missed = match config.settings.quality.target_error {
-        None => None,
-        Some(target) => {
-            let most = |error: Option<ErrorSummary>| error.map(|error| error.max);
-            let noise = most(statistics.relative_error)?;
-            let systematic = most(statistics.systematic_error).unwrap_or(0.0);
-            let text =
-                format!("some nodes miss the target error of {} %; the volume is unchanged", (target * 100.0) as f32);
-            match () {
-                () if noise.hypot(systematic) <= target => None,
-                () if noise.max(systematic) > target => Some(text),
-                () => return None,
-            }
-        }
-    };
-    let wrong = seen_text(&statistics, config);
-    session.note(&std::mem::take(&mut statistics.findings));
-    if settings.method == "path" {
-        // Null in JSON.
-        statistics.coverage = f64::NAN;
-    }
-    let (wall_seconds, cpu_seconds) = stages.total();
-    let output = path.display().to_string();
-    let text = format!(
-        "{output}: unchanged: inputs, settings and program are those that it was baked by; --force bakes it again"
-    );
-    let report = Report {
-        output,
-        wall_seconds,
-        cpu_seconds,
-        sh: format!("L{}", directory.header.bands),
-        bytes: bytes.len() as u64,
-        seed: config.settings.quality.seed,
-        unchanged: true,
-        plan,
-        truncation: Vec::new(),
-        exposure: None,
-        statistics,
-    };
-    Some(Outcome::new(report, text).missing(missed.or(wrong)))
 }
 
 /// `output: input input …`, as Make and Ninja read it.

@@ -13,6 +13,7 @@ pub mod render;
 pub mod sample;
 mod several;
 pub mod study;
+mod unchanged;
 
 use gdibl_baker::job::records::{
     DeringingRecord, ErrorSummary, PackingRecord, Record, SeenErrors, SeenRecord, SeenSet, SparseLevel, SparseRecord,

@@ -2,7 +2,7 @@
 # The farm and kill tests: shards by hand, by Open Job Description and by Slurm give the bytes of one bake; a failed shard ends clearly
 # and is repaired; kills leave no half file; a full or read-only disk is said. SKIPPED lines tell what this machine lacks.
 #
-#   tools/farm/check.sh [GDIBL]        LEVELS="assets/uffizi-box/uffizi-box.bake.toml …" KILLS=200 SHARDS=8 SAMPLES=1024
+#   tools/farm/check.sh [GDIBL]        LEVELS="assets/uffizi-box/uffizi-box.bake.toml …" KILLS=200 SHARDS=8 SAMPLES=1024 NODES=1000000
 set -uo pipefail
 here=$(cd "$(dirname "$0")" && pwd); root=$(dirname "$(dirname "$here")")
 gdibl=$(realpath "${1:-$root/target/release/gdibl}")
@@ -142,6 +142,22 @@ if mount -t tmpfs -o size=256k none "$work/full" 2>/dev/null; then
   umount "$work/full"
 else
   skip "no mount: full and read-only disks were not tried (needs root)"
+fi
+
+# Many nodes: their shards are put together in little memory, 1 GB for 10 million.
+if command -v python3 >/dev/null; then
+  side=$(awk "BEGIN { print int(${NODES:-1000000} ^ (1 / 3) + 0.999) }")
+  many=("$root/assets/uffizi-box/empty-box.glb" --distant 1,1,1 --counts "$side,$side,$side" --samples 2 --quiet --cache "$work/many-cache")
+  for i in 1 2; do "$gdibl" bake "${many[@]}" --shard $i/2 -o "$work/many$i.shard" >/dev/null || fail "many nodes: shard $i"; done
+  most=$((200 + side * side * side / 12500))
+  found=$(python3 -c 'import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024)' "$gdibl" assemble "$work"/many[12].shard -o "$work/many.gdibl" --quiet)
+  if [ "${found:-999999}" -le $most ]; then echo "ok: $((side * side * side)) nodes are put together in $found MB, $most are allowed"
+  else fail "$((side * side * side)) nodes are put together in ${found:-no} MB, $most are allowed"; fi
+  rm -rf "$work"/many*
+else
+  skip "no python3: the memory of an assembly was not measured"
 fi
 
 if command -v python3 >/dev/null; then

@@ -219,6 +219,7 @@ impl<T: Element + PartialEq> PartialEq for Table<T> {
 
 /// Numbers of a row.
 #[derive(Debug, Clone)]
+#[expect(clippy::large_enum_variant, reason = "a box would be an allocation per node")]
 pub enum Row<'a> {
     /// Where they are.
     Held(&'a [f32]),

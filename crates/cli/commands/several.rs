@@ -222,8 +222,8 @@ fn bake_all(
             // What was stopped goes on later; what cannot be baked never will.
             Err(fault @ (Fault::Interrupted | Fault::System(_))) => return Err(fault),
             Err(fault) => {
-                let journals = all.into_iter().map(|baked: Baked| baked.journal).chain([journal]);
-                journals.map(Journal::remove).collect::<Result<(), Fault>>()?;
+                let mut journals = all.into_iter().map(|baked: Baked| baked.journal).chain([journal]);
+                journals.try_for_each(Journal::remove)?;
                 return Err(fault);
             }
         };

@@ -27,9 +27,26 @@ pub const MAX_DEPTH: usize = 18;
 /// And with what divides by count below: enough for 2^32 triangles.
 pub const DEEPEST: usize = MAX_DEPTH + 10;
 
+/// Triangles that stand together in the binary tree as one, each group under the number of the one.
+#[derive(Debug)]
+pub struct Groups {
+    /// Where each group begins among `ids`, and where the last one ends.
+    pub starts: Vec<u32>,
+    /// Triangles.
+    pub ids: Vec<u32>,
+}
+
+impl Groups {
+    fn of(&self, number: u32) -> &[u32] {
+        let [start, end] = [number, number + 1].map(|at| self.starts[at as usize] as usize);
+        &self.ids[start..end]
+    }
+}
+
 /// The tree in the making.
 pub struct Collapse<'a> {
     binary: &'a Bvh2,
+    groups: &'a Groups,
     triangles: &'a [[Vec3; 3]],
     max_depth: usize,
     /// C(n, 1..=7) of every binary node.
@@ -41,11 +58,11 @@ pub struct Collapse<'a> {
 }
 
 impl Collapse<'_> {
-    /// The hierarchy. From `max_depth` nodes down (at most [`MAX_DEPTH`]), triangles are divided by count.
-    pub fn run(binary: &Bvh2, triangles: &[[Vec3; 3]], max_depth: usize) -> Hierarchy {
+    /// The hierarchy of a tree of groups. From `max_depth` nodes down (at most [`MAX_DEPTH`]), triangles are divided by count.
+    pub fn run(binary: &Bvh2, groups: &Groups, triangles: &[[Vec3; 3]], max_depth: usize) -> Hierarchy {
         let (costs, counts) = (vec![[0.0; WIDTH - 1]; binary.nodes.len()], vec![0; binary.nodes.len()]);
         let (nodes, blocks) = (Vec::new(), Vec::new());
-        let mut collapse = Collapse { binary, triangles, max_depth, costs, counts, nodes, blocks };
+        let mut collapse = Collapse { binary, groups, triangles, max_depth, costs, counts, nodes, blocks };
         collapse.find_costs();
         collapse.build();
         Hierarchy { nodes: collapse.nodes, blocks: collapse.blocks }
@@ -65,8 +82,10 @@ impl Collapse<'_> {
         for n in order.into_iter().rev().map(|n| n as usize) {
             let node = &self.binary.nodes[n];
             if node.prim_count > 0 {
-                self.counts[n] = node.prim_count;
-                self.costs[n] = [self.leaf_cost(n); WIDTH - 1];
+                self.counts[n] = self.groups_in(node).map(|ids| ids.len() as u32).sum();
+                // Of a group that is too large for a leaf, about that of the nodes that it is divided among.
+                let divided = node.aabb().half_area() * (self.blocks_of(n) as f32 + NODE_COST);
+                self.costs[n] = [self.leaf_cost(n).min(divided); WIDTH - 1];
                 continue;
             }
             self.counts[n] = children(node).map(|child| self.counts[child]).iter().sum();
@@ -80,12 +99,23 @@ impl Collapse<'_> {
 
     /// leaf(n); +infinity if it would have too many blocks.
     fn leaf_cost(&self, n: usize) -> f32 {
-        let blocks = (self.counts[n] as usize).div_ceil(LANES);
+        let blocks = self.blocks_of(n);
         if blocks <= Child::MAX_BLOCKS {
             self.binary.nodes[n].aabb().half_area() * blocks as f32
         } else {
             f32::INFINITY
         }
+    }
+
+    fn blocks_of(&self, n: usize) -> usize {
+        (self.counts[n] as usize).div_ceil(LANES)
+    }
+
+    /// The groups of a leaf of the binary tree.
+    fn groups_in(&self, leaf: &Bvh2Node) -> impl Iterator<Item = &[u32]> {
+        let first = leaf.first_index as usize;
+        let numbers = &self.binary.primitive_indices[first..first + leaf.prim_count as usize];
+        numbers.iter().map(|number| self.groups.of(*number))
     }
 
     /// D(n, i), and its k.
@@ -136,9 +166,7 @@ impl Collapse<'_> {
             for (slot, &root) in roots.iter().enumerate() {
                 let bounds = self.binary.nodes[root].aabb();
                 let bounds = [bounds.min.to_array(), bounds.max.to_array()];
-                let child = if self.is_leaf(root) {
-                    self.leaf(&self.triangles_below(root))
-                } else if depth == self.max_depth {
+                let child = if self.is_leaf(root) || depth == self.max_depth {
                     self.divide_by_count(&self.triangles_below(root), bounds)
                 } else {
                     self.nodes.push(Node::EMPTY);
@@ -171,7 +199,7 @@ impl Collapse<'_> {
         Child::leaf(first, self.blocks.len() - first)
     }
 
-    /// Nodes whose children all have the same box, but few triangles each.
+    /// A leaf; of too many triangles for one, nodes whose children all have the same box, but fewer triangles each.
     fn divide_by_count(&mut self, ids: &[u32], bounds: [[f32; 3]; 2]) -> Child {
         if ids.len() <= LANES * Child::MAX_BLOCKS {
             return self.leaf(ids);
@@ -195,8 +223,7 @@ impl Collapse<'_> {
                 let [left, right] = children(node);
                 open.extend([right, left]);
             } else {
-                let first = node.first_index as usize;
-                ids.extend_from_slice(&self.binary.primitive_indices[first..first + node.prim_count as usize]);
+                self.groups_in(node).for_each(|group| ids.extend_from_slice(group));
             }
         }
         ids

@@ -112,6 +112,8 @@ pub struct Surfaces {
     /// Only some materials need a look at alpha; without one, no hit asks.
     any_clear: bool,
     twins: Twins,
+    /// The tree's distances may be off by this much, trace units.
+    doubt: f32,
 }
 
 /// A point on a surface.
@@ -151,7 +153,8 @@ impl Surfaces {
             return None;
         }
         let twins = Twins::new(corners.len());
-        Some(Surfaces { tree: Tree::build(&corners), corners, sources, any_clear, twins })
+        let doubt = corners.iter().map(rounding_of_distances).fold(0.0, f32::max);
+        Some(Surfaces { tree: Tree::build(&corners), corners, sources, any_clear, twins, doubt })
     }
 
     /// How many triangles.
@@ -203,16 +206,32 @@ impl Surfaces {
     /// The nearest hit as the tree has it, and its opacity.
     #[inline]
     fn nearest(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> Option<(TreeHit, f32)> {
+        let doubt = self.doubt / direction.length();
+        let is_behind = |hit: &TreeHit| hit.t < doubt && self.is_behind(origin, direction, hit.triangle);
         if !self.any_clear {
-            return self.tree.closest(origin, direction, t_min, t_max, |_| true).map(|hit| (hit, 1.0));
+            return self.tree.closest(origin, direction, t_min, t_max, |hit| !is_behind(hit)).map(|hit| (hit, 1.0));
         }
         let mut opacity = 1.0;
         let hit = self.tree.closest(origin, direction, t_min, t_max, |hit| {
+            if is_behind(hit) {
+                return false;
+            }
             let here = self.counting_opacity(scene, hit, direction);
             opacity = here.unwrap_or(opacity);
             here.is_some()
         })?;
         Some((hit, opacity))
+    }
+
+    /// A ray that meets a triangle by the tree starts past its plane. The tree finds distances by weights of corners, and so to some
+    /// ulps of the triangle's size: rays that left walls of 2 km met these again, by 15 mm, and 5 % of the light was lost.
+    #[cold]
+    fn is_behind(&self, origin: Vec3, direction: Vec3, triangle: u32) -> bool {
+        let [a, b, c] = self.corners[triangle as usize].map(|corner| corner.as_dvec3());
+        let normal = (b - a).cross(c - a);
+        let (height, slope) = (normal.dot(a - origin.as_dvec3()), normal.dot(direction.as_dvec3()));
+        // On the plane, or along it, the tree is as good.
+        height * slope < 0.0
     }
 
     /// The nearest surface along the ray with `t < t_max` that shows itself: what lets half through or more does not.
@@ -264,13 +283,22 @@ impl Surfaces {
 
     fn clear_share(&self, scene: &Scene, origin: Vec3, direction: Vec3, t_max: f32, ignore: Option<u32>) -> Vec3 {
         let twin = ignore.filter(|triangle| self.has_twin(*triangle));
+        let doubt = self.doubt / direction.length();
+        let is_behind = |hit: &TreeHit| hit.t < doubt && self.is_behind(origin, direction, hit.triangle);
         if !self.any_clear && twin.is_none() {
-            let is_hit = self.tree.is_hit(origin, direction, 0.0, t_max, ignore.unwrap_or(u32::MAX));
+            let mut is_hit = false;
+            self.tree.any(origin, direction, 0.0, t_max, |hit| {
+                is_hit = Some(hit.triangle) != ignore && !is_behind(hit);
+                !is_hit
+            });
             return if is_hit { Vec3::ZERO } else { Vec3::ONE };
         }
         let mut clear = Vec3::ONE;
         self.tree.any(origin, direction, 0.0, t_max, |hit| {
-            if Some(hit.triangle) == ignore || twin.is_some_and(|twin| self.are_back_to_back(twin, hit.triangle)) {
+            if Some(hit.triangle) == ignore
+                || is_behind(hit)
+                || twin.is_some_and(|twin| self.are_back_to_back(twin, hit.triangle))
+            {
                 return true;
             }
             let passes = match self.any_clear {
@@ -342,6 +370,16 @@ impl Surfaces {
 /// Some ulps of a point's largest coordinate, in trace units: off a surface there for sure.
 fn off_surface(point: Vec3) -> f32 {
     8.0 * f32::EPSILON * point.abs().max_element()
+}
+
+/// How far off the tree's distances to a triangle may be. Weights of its corners are known to some ulps of its size over its height;
+/// a distance is their mean of corners that lie as far apart as the triangle is long. Slivers are off by their length at most.
+fn rounding_of_distances(corners: &[Vec3; 3]) -> f32 {
+    let [a, b, c] = *corners;
+    let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+    let height = (b - a).cross(c - a).length() / longest;
+    let off = 4.0 * f32::EPSILON * longest * (longest / height);
+    if off < longest { off } else { longest }
 }
 
 /// Unit normal by winding; in f64 because slivers cancel in f32. A triangle whose corners fell together in trace

@@ -49,18 +49,26 @@ impl DirectionMap {
     /// How much what is covered differs from cell to cell: half of what lies between the 5th and the 95th percentile, without small
     /// lamps. In a living room, nodes with more than 1 % unseen lay within 95 % intervals of it in 89 % with the 16th and 84th.
     pub fn spread(&self) -> f64 {
+        let cells = self.sorted_light();
+        f64::from(percentile(&cells, 0.95) - percentile(&cells, 0.05)) / 2.0
+    }
+
+    /// Mean of R, G and B in each covered cell, ascending.
+    fn sorted_light(&self) -> Vec<f32> {
         let light = |cell: &[f32; 4]| (cell[0] + cell[1] + cell[2]) / (3.0 * cell[3]);
         let mut cells: Vec<f32> = self.cells.iter().filter(|cell| cell[3] > 0.0).map(light).collect();
         cells.sort_unstable_by(f32::total_cmp);
-        let percentile =
-            |share: f64| cells.get((cells.len() as f64 * share) as usize).map_or(0.0, |light| f64::from(*light));
-        (percentile(0.95) - percentile(0.05)) / 2.0
+        cells
     }
 
     /// Turns sums into radiance everywhere. `false` if nothing was covered: the map is then black.
+    ///
+    /// What is hidden is taken for no lamp: no cell is brighter than 95 % of the covered ones. The back of a lamp that hung 5 cm under a
+    /// ceiling hid a thousandth of it, which took the lamp's own light: E was 6 % too bright.
     pub fn fill(&mut self) -> bool {
         // Pull: each level holds mean and trust (0..=1) of four cells of the finer one.
-        let mut levels = vec![self.cells.iter().map(mean).collect::<Vec<_>>()];
+        let most = percentile(&self.sorted_light(), 0.95);
+        let mut levels = vec![self.cells.iter().map(|cell| at_most(mean(cell), most)).collect::<Vec<_>>()];
         let mut side = SIDE;
         while side > 1 {
             side /= 2;
@@ -101,6 +109,18 @@ impl DirectionMap {
         let cell = self.cells[cell_of(direction)];
         Vec3::new(cell[0], cell[1], cell[2])
     }
+}
+
+/// Of ascending numbers; 0 without any.
+fn percentile(ascending: &[f32], share: f64) -> f32 {
+    ascending.get((ascending.len() as f64 * share) as usize).copied().unwrap_or(0.0)
+}
+
+/// The same colour with a mean of R, G and B of `most` at most.
+fn at_most([r, g, b, trust]: [f32; 4], most: f32) -> [f32; 4] {
+    let light = (r + g + b) / 3.0;
+    let share = if light > most { most / light } else { 1.0 };
+    [r * share, g * share, b * share, trust]
 }
 
 fn mean(cell: &[f32; 4]) -> [f32; 4] {
@@ -145,6 +165,23 @@ mod tests {
         }
         assert!(map.fill());
         assert!(map.radiance(Vec3::X).x > 0.9, "{}", map.radiance(Vec3::X));
+    }
+
+    #[test]
+    fn fill_takes_no_hidden_place_for_a_lamp() {
+        // A lamp a million times as bright as the wall around it, and half of that wall, the lamp's surroundings, hidden.
+        let mut map = DirectionMap::default();
+        let lamp = Vec3::new(0.6, 0.0, 0.8);
+        for direction in fibonacci_sphere(20_000) {
+            let angle = direction.angle_between(lamp);
+            if angle < 0.05 || angle > 0.4 {
+                map.add(direction, if angle < 0.05 { Vec3::splat(1e6) } else { Vec3::ONE }, 1.0);
+            }
+        }
+        assert!(map.fill());
+        for direction in fibonacci_sphere(1000) {
+            assert!((map.radiance(direction) - Vec3::ONE).length() < 1e-4, "{direction}: {}", map.radiance(direction));
+        }
     }
 
     #[test]

@@ -302,18 +302,29 @@ impl<'a> Around<'a> {
     /// one that is hardly in front.
     fn off_surfaces(&self, mut place: Vec3) -> Vec3 {
         for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
-            let way = axis * (2.0 * self.off);
+            let off = self.off_in_gap(place, axis);
+            let way = axis * (2.0 * off);
             for (from, way) in [(place - way * 0.5, way), (place + way * 0.5, -way)] {
                 let Some(met) = self.level.meet(from, way, 1.0) else { continue };
                 let front = if met.back { -met.normal } else { met.normal };
                 let height = (place - met.position).dot(front);
-                if height.abs() < self.off {
-                    place += front * (self.off - height);
+                if height.abs() < off {
+                    place += front * (off - height);
                 }
                 break;
             }
         }
         place
+    }
+
+    /// Distance from surfaces of what stands between two of them: less in a narrow gap. In a room of 1 m in a city of 100 km nodes
+    /// went 0.6 m off its walls, and so through the next one.
+    fn off_in_gap(&self, place: Vec3, axis: Vec3) -> f32 {
+        let reach = self.off / (2.0 * OFF_SURFACES as f32);
+        let free = |way: Vec3| self.level.meet(place, way, reach).map_or(reach, |met| met.t);
+        let gap = free(axis) + free(-axis);
+        let rounding = 64.0 * f32::EPSILON * place.abs().max_element();
+        self.off.min((gap * OFF_SURFACES as f32).max(rounding))
     }
 
     /// The nearest place past one of the surfaces that count as a way out, within the node's share of its cells, that is in

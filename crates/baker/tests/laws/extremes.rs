@@ -8,6 +8,7 @@ use gdibl_baker::job::records::Records;
 use gdibl_baker::pack::{PackSettings, Precision, pack};
 use gdibl_baker::panorama::Panorama;
 use gdibl_baker::radiance::RadianceFunction;
+use gdibl_baker::radiance::gdibl::{Gdibl, GdiblSettings};
 use gdibl_baker::radiance::path::{Path, PathSettings};
 use gdibl_baker::scene::{Material, Role, Scene};
 use gdibl_runtime::grid::Grid;
@@ -240,4 +241,68 @@ fn error_bar_covers_light_of_three_bounces_in_a_probe() {
     // As above; measured 98 %.
     println!("{inside} of 100");
     assert!(inside >= 85, "{inside} of 100");
+}
+
+#[test]
+fn rooms_in_rooms_a_million_times_as_large_keep_their_own_light() {
+    // A box of 10 cm in a room of 1 m in a hall of 10 m in a city of 100 km. Nodes beside a wall of the small ones went through it.
+    let (edges, radiance) = ([0.1, 1.0, 10.0, 1e5], [8.0f32, 4.0, 2.0, 1.0]);
+    let middle = |room: usize| if room == 3 { DVec3::ZERO } else { DVec3::new(10.0, 0.3, -10.0) };
+    let mut scene = Scene::default();
+    for (room, edge) in edges.into_iter().enumerate() {
+        let half = DVec3::splat(0.5 * edge);
+        add(&mut scene, Role::Environment, &box_of(middle(room) - half, middle(room) + half));
+        if room < 3 {
+            add(&mut scene, Role::Environment, &solid_of(middle(room) - half * 1.2, middle(room) + half * 1.2));
+        }
+    }
+    let place = |room: usize, share: f64| middle(room) + DVec3::new(0.42, 0.3, -0.1) * edges[room] * share;
+    let rooms = [0, 1, 2, 3];
+    let probes = rooms.map(|room| probe(place(room, 0.8), 32, |_| [radiance[room]; 3]));
+    let function = gdibl(&scene, &probes, None);
+    let points = rooms.map(|room| place(room, 1.0));
+    for room in rooms {
+        let error = furnace_error(&function, &points[room..=room], &SMALL, [radiance[room]; 3]);
+        assert!(error < 1e-3, "room of {} m: {error:.1e}", edges[room]);
+    }
+}
+
+#[test]
+fn walls_a_thousand_times_as_long_as_wide_lose_no_light() {
+    // 2 m wide, 3 m high, 2 km long; every wall sends out 1/2 and reflects 1/2: light of 1 everywhere. Rays met the walls that they left
+    // again, from behind, and the middle was 5 % too dark.
+    let mut scene = Scene::default();
+    add_of(&mut scene, &box_of(DVec3::ZERO, DVec3::new(2.0, 3.0, 2000.0)), 0.5, 0.5);
+    let points = [250.0, 1000.0, 1000.3].map(|z| DVec3::new(0.7, 1.2, z));
+    let path = Path::new(&scene, None, PathSettings::default());
+    let baked = bake_points(&path, &points, &BakeSettings { samples: 1 << 14, ..SMALL });
+    let mean =
+        (0..3).map(|node| f64::from(baked.node(node)[0])).sum::<f64>() / 3.0 / (4.0 * std::f64::consts::PI).sqrt();
+    // Of one node the standard error is 0.3 %; all three see the same light.
+    assert!((mean - 1.0).abs() < 0.01, "{mean}");
+}
+
+#[test]
+fn what_hides_behind_a_lamp_is_not_filled_with_its_light() {
+    // A lamp of 40 cm hangs 5 cm under the ceiling. The black probe tells nothing but what it sees: E is that of the lamp alone.
+    let mut scene = Scene::default();
+    add_of(&mut scene, &box_of(DVec3::new(-3.0, 0.0, -2.0), DVec3::new(3.0, 3.0, 2.5)), 0.5, 0.0);
+    let [a, b, c, d] = [[-0.2, -0.2], [-0.2, 0.2], [0.2, 0.2], [0.2, -0.2]].map(|[x, z]| DVec3::new(x, 2.95, z));
+    add_of(&mut scene, &[[a, c, b], [a, d, c]], 0.0, 50.0);
+    let probes = [probe(DVec3::new(-1.0, 1.5, 0.3), 64, |_| [0.0; 3])];
+    let settings = GdiblSettings { emission_from_materials: true, ..GdiblSettings::default() };
+    let function = Gdibl::new(&scene, &probes, None, settings);
+    let points = [[1.5, 1.0, 0.4], [2.0, 2.4, -0.4], [0.2, 0.4, 1.9]].map(DVec3::from);
+    let settings = BakeSettings { samples: 8192, ..SMALL };
+    let baked = bake_points(&function, &points, &settings);
+    let direct = Path::new(&scene, None, PathSettings { bounces: Some(0), ..PathSettings::default() });
+    let truth = bake_points(&direct, &points, &settings);
+    assert!(
+        baked.coverage.iter().all(|coverage| *coverage < 0.99999),
+        "some of the ceiling is hidden: {:?}",
+        baked.coverage
+    );
+    let error = error_of(&baked, |node| sh_of(&truth, node)).relative_rmse;
+    // It was 12 %.
+    assert!(error < 0.01, "{error}");
 }

@@ -33,7 +33,7 @@ pub struct Guide {
     /// What nodes see of the sky, where that is not the whole of it.
     sky_at_nodes: Option<SkyImportance>,
     emitters: Option<Emitters>,
-    /// How much they count, 0..=1.
+    /// How much they count, 0..=2.
     emitter_weight: f32,
     /// Of directions turned by `to_local`.
     tiles: Tiles,
@@ -73,7 +73,7 @@ impl Guide {
         }
     }
 
-    /// With fewer directions toward emitters, if there are any: `weight`, 0..=1, times as many.
+    /// With other numbers of directions toward emitters, if there are any: `weight`, 0..=2, times as many.
     pub(super) fn with_emitter_weight(self, weight: f32) -> Guide {
         Guide { emitter_weight: self.emitter_weight * weight, ..self }
     }

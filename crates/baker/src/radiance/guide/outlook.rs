@@ -119,8 +119,8 @@ impl GlanceSums {
 }
 
 impl Outlook {
-    /// Divides directions among techniques. `emitters`, 0..=1: how much they count; at 1 they have a third of what is not
-    /// uniform.
+    /// Divides directions among techniques. `emitters`, 0..=2: how much they count; at 1 they have a third of what is not
+    /// uniform, at 2 two thirds.
     pub(super) fn share(&mut self, uniform: f32, sky: bool, emitters: f32) {
         let left = 1.0 - uniform;
         let emitters = emitters * left / 3.0;

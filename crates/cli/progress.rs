@@ -78,6 +78,8 @@ impl Shown {
 const EVERY: Duration = Duration::from_secs(10);
 const SHARE: f64 = 0.05;
 const LEAST: Duration = Duration::from_secs(1);
+/// Once this share is done, the whole time is told.
+const TOLD: f64 = 0.1;
 
 /// Work done, rate and time left.
 pub struct Progress {
@@ -88,6 +90,8 @@ pub struct Progress {
     done: AtomicU64,
     rays: AtomicU64,
     started: Instant,
+    /// What all this is for, to be told with the whole time it takes once that is known.
+    aim: Mutex<Option<String>>,
     /// When the last line was written, and what was done by then.
     last: Mutex<(Instant, u64)>,
 }
@@ -110,7 +114,7 @@ impl Progress {
         let target = if is_bar { ProgressDrawTarget::stderr_with_hz(8) } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(total), target);
         let style = format!(
-            "{{elapsed_precise}} {{wide_bar}} {{human_pos}}/{{human_len}} {unit}  {{msg}}  {{eta_precise}} left"
+            "{{prefix}}{{elapsed_precise}} {{wide_bar}} {{human_pos}}/{{human_len}} {unit}  {{msg}}  {{eta_precise}} left"
         );
         bar.set_style(ProgressStyle::with_template(&style).expect("a valid template"));
         if is_bar {
@@ -119,7 +123,15 @@ impl Progress {
         let started = Instant::now();
         let last = Mutex::new((started, 0));
         let (done, rays) = (AtomicU64::new(0), AtomicU64::new(0));
-        Progress { shown, unit, total, bar, done, rays, started, last }
+        Progress { shown, unit, total, bar, done, rays, started, aim: Mutex::new(None), last }
+    }
+
+    /// The first line of a log says how long it will take to come to `aim`; a bar has it in front.
+    pub fn toward(self, aim: Option<String>) -> Progress {
+        if let Some(aim) = &aim {
+            self.bar.set_prefix(format!("{aim}  "));
+        }
+        Progress { aim: Mutex::new(aim), ..self }
     }
 
     pub fn advance(&self, nodes: u64, rays: u64) {
@@ -159,6 +171,12 @@ impl Progress {
         }
         let percent = 100.0 * done as f64 / total.max(1) as f64;
         let rate = rays as f64 / seconds / 1e6;
+        if done as f64 >= TOLD * total as f64
+            && let Some(aim) = self.aim.lock().expect("no line panics").take()
+        {
+            let all = seconds * total as f64 / done as f64;
+            say(&format!("{aim} about {} in all, {} to go", time_text(all), time_text(all - seconds)));
+        }
         let left = left.map_or("time left not known".into(), |left| format!("about {} left", time_text(left)));
         say(&format!("{done} of {total} {unit} ({percent:.0} %), {rate:.1} M rays/s, {left}"));
     }

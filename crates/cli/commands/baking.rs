@@ -62,7 +62,9 @@ pub fn bake(
     shown: Shown,
     journal: Option<&Journal>,
 ) -> Result<Made, Stop> {
-    let progress = Progress::new("nodes", job.nodes().len() as u64, shown);
+    let target = job.settings.quality.target_error;
+    let aim = target.map(|target| format!("target error {} %:", (target * 100.0) as f32));
+    let progress = Progress::new("nodes", job.nodes().len() as u64, shown).toward(aim);
     let advance = |nodes, rays| progress.advance(nodes, rays);
     let stage = |stage: Stage| stages.next(stage.name());
     let seconds = || stages.total().0;
@@ -79,7 +81,7 @@ pub fn tell_made(made: &mut Made, found: usize, config: &Config, stages: &Stages
     let statistics = made.records.statistics.as_mut().expect("a job fills it in");
     session.find(&statistics.findings[found..]);
     if config.settings.quality.record_times {
-        stages.fill(&mut statistics.stages);
+        stages.fill(statistics);
     }
     let missed = missed_text(made, config);
     missed.iter().for_each(|text| session.note(&[Finding::new("missed-target", made.baked.missed, text)]));
@@ -107,7 +109,7 @@ pub fn assemble(mut made: Made) -> Assembled {
 pub fn report_of(assembled: Assembled, config: &Config, stages: &Stages, is_traced: bool) -> (Report, String) {
     let Assembled { packed: Packed { bytes, records }, place, sh, truncation, exposure } = assembled;
     let mut statistics = records.statistics.expect("it was filled in");
-    stages.fill(&mut statistics.stages);
+    stages.fill(&mut statistics);
     // The report's own findings are those of the whole run.
     statistics.findings.clear();
     if is_traced {
@@ -243,6 +245,7 @@ fn text(report: &Report, place: &str, precision: Precision) -> String {
     ]);
     let mut row = |name: &str, text: String| lines.push(format!("  {name:<9} {text}"));
     super::systematic_text(statistics).into_iter().for_each(|text| row("bias", text));
+    super::quarter_lines(statistics).into_iter().for_each(|text| row("progress", text));
     if !statistics.coverage.is_nan() {
         row("coverage", format!("{:.1} % of what the nodes see, some probe has seen", statistics.coverage * 100.0));
     }

@@ -16,8 +16,8 @@ pub mod study;
 mod unchanged;
 
 use gdibl_baker::job::records::{
-    DeringingRecord, ErrorSummary, PackingRecord, Record, SeenErrors, SeenRecord, SeenSet, SparseLevel, SparseRecord,
-    StageRecord, StandingRecord, StatisticsRecord, SunRecord, WallsRecord, decode,
+    DeringingRecord, ErrorSummary, PackingRecord, QuarterRecord, Record, SeenErrors, SeenRecord, SeenSet, SparseLevel,
+    SparseRecord, StageRecord, StandingRecord, StatisticsRecord, SunRecord, WallsRecord, decode,
 };
 use gdibl_runtime::format::{Directory, Limits};
 use std::path::Path;
@@ -172,6 +172,35 @@ fn noise_text(statistics: &StatisticsRecord) -> String {
 pub fn systematic_text(statistics: &StatisticsRecord) -> Option<String> {
     let error = statistics.systematic_error.filter(|error| error.max > 0.0)?;
     Some(format!("{} (beside noise: what probes show wrongly, and what nobody sees)", summary_text(&error)))
+}
+
+/// The median node's error on the way, in words, and whether more directions would help; nothing where nothing tells.
+pub fn quarter_lines(statistics: &StatisticsRecord) -> Vec<String> {
+    let [_, half, _, all] = &statistics.quarters[..] else { return Vec::new() };
+    let percent = |error: f64| format!("{:.2} %", error * 100.0);
+    let text = |(quarter, name): (&QuarterRecord, &str)| {
+        let time = quarter.seconds.as_ref().map_or_else(String::new, |seconds| format!(" ({:.1} s)", seconds.wall));
+        format!("{} with {name}{time}", percent(quarter.whole))
+    };
+    let names = ["1/4 of the directions", "1/2", "3/4", "all"];
+    let way = statistics.quarters.iter().zip(names).map(text).collect::<Vec<_>>().join(", ");
+    // Noise falls again as it fell from half of the directions to all; what is left of the whole does not.
+    let left = (all.whole.powi(2) - all.noise.powi(2)).max(0.0).sqrt();
+    let next = (all.noise * (all.noise / half.noise).min(1.0)).hypot(left);
+    let time = match (&half.seconds, &all.seconds) {
+        (Some(half), Some(all)) => format!(" ({:.1} s)", all.wall + 2.0 * (all.wall - half.wall)),
+        _ => String::new(),
+    };
+    let mut verdict = match next > 0.9 * all.whole {
+        true => format!("more directions hardly help: {} would be left with twice as many{time}", percent(next)),
+        false => format!("twice as many directions would leave about {}{time}", percent(next)),
+    };
+    let sets = statistics.seen.iter().flat_map(|seen| [seen.air, seen.surfaces]).flatten();
+    let between = sets.map(|set| set.parts.between).fold(0.0, f64::max);
+    if between > 2.0 * all.noise {
+        verdict += &format!("; light between nodes is off by {}: closer nodes (--spacing) help more", percent(between));
+    }
+    vec![format!("median node off by {way}"), verdict]
 }
 
 fn summary_text(error: &ErrorSummary) -> String {

@@ -54,6 +54,7 @@ fn errors(lines: &mut Lines, report: &Report) {
     }
     if let Some(statistics) = &report.statistics {
         commands::systematic_text(statistics).into_iter().for_each(|text| lines.row("bias", text));
+        lines.rows("progress", commands::quarter_lines(statistics));
         if let Some(error) = &statistics.worst_direction_error {
             let [median, p95, max] = [error.median, error.p95, error.max].map(|e| e * 100.0);
             let text = format!("{median:.2} % median, {p95:.2} % 95th percentile, {max:.2} % worst");

@@ -450,6 +450,7 @@ mod tests {
             missed: 0,
             missed_by_systematic: 0,
             clamped: 0.0,
+            quarters: None,
         }
     }
 

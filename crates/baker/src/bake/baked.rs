@@ -96,6 +96,17 @@ pub struct Baked {
     pub missed_by_systematic: u64,
     /// Share of the valid nodes' light that clamping took, 0..=1.
     pub clamped: f64,
+    /// What the error was on the way; `None` where no node was looked at, or none has noise.
+    pub quarters: Option<[Quarter; 4]>,
+}
+
+/// Errors of E after some quarters of a bake's directions, medians over some of its nodes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Quarter {
+    /// As `relative_error`.
+    pub noise: f64,
+    /// With the systematic error, which more directions do not take away.
+    pub whole: f64,
 }
 
 impl Baked {
@@ -118,6 +129,7 @@ impl Baked {
             missed: 0,
             missed_by_systematic: 0,
             clamped: 0.0,
+            quarters: None,
         }
     }
 

@@ -75,6 +75,8 @@ pub struct NodeEstimate {
     pub found: Vec<Found>,
     /// Directions that left the node.
     pub samples: u64,
+    /// `standard_error` after 1/4, 1/2 and 3/4 of them; 0 where nobody looked.
+    pub quarters: [f64; 3],
 }
 
 /// Systematic error of E, as audits tell it: mean over 26 directions and RGB.
@@ -100,6 +102,9 @@ impl From<Radiance> for Told {
         Told { arriving, audit: None }
     }
 }
+
+/// Fewest directions of a first round whose error is looked at on the way.
+const WATCHED: u64 = 64;
 
 /// A node to be sampled.
 #[derive(Debug, Clone, Copy)]
@@ -226,6 +231,9 @@ impl Integrator {
     /// that is no more than there are, the estimate is returned. It is first asked with 0 samples and no estimate; who
     /// wants a second round starts with at least [`REPLICATES`].
     ///
+    /// At the first place the error is looked at on the way, too: an estimate takes a thousandth of what its directions take, and one
+    /// in eight nodes tells enough.
+    ///
     /// `radiance(origin, direction, context)` is L(x, ω), or `None` to give up at once.
     pub fn integrate(
         &mut self,
@@ -247,13 +255,24 @@ impl Integrator {
             self.sums.clear(replicates as usize);
             let (mut done, mut target) = (0, first_round);
             let mut last: Option<NodeEstimate> = None;
+            // Directions so far, and the error by then.
+            let mut rounds: Vec<(u64, f64)> = Vec::new();
             let mut estimate = loop {
-                for replicate in 0..replicates {
-                    let range = [done, target].map(|samples| share(samples, replicates, replicate));
-                    self.sample(guide, course, replicate, range, &radiance)?;
+                let parts = if number == 0 && done == 0 && target >= WATCHED { 4 } else { 1 };
+                let round = [done, target];
+                for part in 1..=parts {
+                    let until = round[0] + (round[1] - round[0]) * part / parts;
+                    for replicate in 0..replicates {
+                        let range = [done, until].map(|samples| share(samples, replicates, replicate));
+                        self.sample(guide, course, replicate, range, &radiance)?;
+                    }
+                    done = until;
+                    if part < parts {
+                        rounds.push((done, self.estimate(course, done).standard_error));
+                    }
                 }
-                done = target;
                 let mut estimate = self.estimate(course, done);
+                rounds.push((done, estimate.standard_error));
                 if let Some(last) = &last {
                     estimate.temper(last);
                 }
@@ -263,6 +282,9 @@ impl Integrator {
                 }
                 last = Some(estimate);
             };
+            if rounds.len() > 3 {
+                estimate.quarters = [1, 2, 3].map(|quarter| error_after(&rounds, done * quarter / 4));
+            }
             estimate.found = std::mem::take(&mut courses[number].context.found);
             estimates.push(estimate);
         }
@@ -479,6 +501,7 @@ impl Integrator {
             rays: context.rays,
             found: Vec::new(),
             samples,
+            quarters: [0.0; 3],
         }
     }
 }
@@ -585,6 +608,18 @@ impl NodeSums {
             *sum += f64::from(weight) * f64::from(y);
         }
     }
+}
+
+/// The error after so many directions: that of the round, or between two rounds on the line of logarithms.
+fn error_after(rounds: &[(u64, f64)], samples: u64) -> f64 {
+    let next = rounds.partition_point(|(done, _)| *done < samples).min(rounds.len() - 1);
+    let (until, after) = rounds[next];
+    let (from, before) = rounds[next.saturating_sub(1)];
+    if until <= samples || next == 0 || before <= 0.0 || after <= 0.0 {
+        return after;
+    }
+    let along = (samples as f64 / from as f64).ln() / (until as f64 / from as f64).ln();
+    before * (after / before).powf(along)
 }
 
 /// How many of a replicate's first `samples` directions each technique has. `rounding` (0..1, random) makes whole numbers
@@ -773,6 +808,21 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn errors_on_the_way_are_those_of_bakes_that_end_there() {
+        let light = |d: Vec3| Radiance::covered(Vec3::splat(d.y.max(0.0).powi(8)));
+        let whole = integrate(2, sobol(3, 5), light, fixed(4096));
+        for (quarter, error) in whole.quarters.into_iter().enumerate() {
+            let alone = integrate(2, sobol(3, 5), light, fixed(1024 * (quarter as u64 + 1)));
+            assert!((error / alone.standard_error - 1.0).abs() < 1e-9, "{quarter}: {error} {}", alone.standard_error);
+        }
+        // By rounds: a quarter and a half are rounds of their own; their errors are tempered.
+        let rounds = integrate(2, sobol(3, 5), light, |done, _| (done * 2).clamp(256, 4096));
+        let [quarter, half, most] = rounds.quarters;
+        assert!(quarter > half && half > most && most > rounds.standard_error, "{:?}", rounds.quarters);
+        assert!((quarter / whole.quarters[0]).ln().abs() < 0.7, "{quarter} {:?}", whole.quarters);
     }
 
     #[test]

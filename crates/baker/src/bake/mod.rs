@@ -23,7 +23,7 @@ pub(crate) mod walls;
 
 use gdibl_runtime::sh;
 
-pub use baked::{BakeSettings, Baked, Walls};
+pub use baked::{BakeSettings, Baked, Quarter, Walls};
 pub(crate) use cells::Cells;
 pub use finite::check_finite;
 pub(crate) use gather::propose_on_surface;
@@ -40,6 +40,7 @@ use summary::Summary;
 use systematic::systematic_errors;
 
 use crate::radiance::RadianceFunction;
+use crate::rows::Table;
 use crate::{Control, Interrupted};
 
 /// Bytes that a bake of `nodes` nodes takes at its peak, at most, beside the level: coefficients, figures, and the file's sections
@@ -93,6 +94,7 @@ fn finish(
     for (errors, _) in coefficient_error.chunks_exact_mut(stride).zip(&is_open).filter(|(_, valid)| !**valid) {
         errors.fill(0.0);
     }
+    let quarters = quarters(&open, &estimates, &systematic_error, median);
     let target = settings.target_error.unwrap_or(f64::INFINITY) as f32;
     let total = |of: fn(&Summary) -> f64| valid().filter(|(_, valid)| *valid).map(|(e, _)| of(&e)).sum::<f64>();
     let (clamped, kept) = (total(|e| e.clamped), total(|e| e.kept));
@@ -113,6 +115,7 @@ fn finish(
         rays: rays + sites.rays,
         samples,
         clamped: if clamped > 0.0 { clamped / (clamped + kept) } else { 0.0 },
+        quarters,
     };
     let place = |node| sites.place(node, nodes, function);
     let mut rays = fill::fill(nodes, &mut baked, function, place, control)?;
@@ -124,4 +127,25 @@ fn finish(
     (control.progress)(0, rays);
     baked.rays += rays;
     Ok(baked)
+}
+
+/// Errors after each quarter of the directions, over those nodes at which they were looked at.
+fn quarters(open: &[u32], estimates: &Table<Summary>, systematic: &[f32], median: f64) -> Option<[Quarter; 4]> {
+    let all = open.iter().map(|node| (estimates.first(*node as usize), systematic[*node as usize]));
+    let watched: Vec<(Summary, f32)> =
+        all.filter(|(estimate, _)| estimate.quarters.iter().all(|error| *error > 0.0)).collect();
+    let middle = |of: &dyn Fn(&(Summary, f32)) -> f64| {
+        let mut values: Vec<f64> = watched.iter().map(of).collect();
+        let middle = values.len() / 2;
+        (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    let after = |quarter: usize| {
+        let noise = |(estimate, _): &(Summary, f32)| {
+            let error = estimate.quarters.get(quarter).copied().unwrap_or(estimate.standard_error);
+            estimate.relative(error, median)
+        };
+        let whole = |node: &(Summary, f32)| noise(node).hypot(f64::from(node.1));
+        Some(Quarter { noise: middle(&noise)?, whole: middle(&whole)? })
+    };
+    Some([after(0)?, after(1)?, after(2)?, after(3)?])
 }

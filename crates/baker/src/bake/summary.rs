@@ -17,6 +17,8 @@ pub(crate) struct Summary {
     /// ∫ L dω that clamping took, and that is left, over R, G and B.
     pub clamped: f64,
     pub kept: f64,
+    /// See [`NodeEstimate::quarters`].
+    pub quarters: [f64; 3],
 }
 
 /// Light under this share of the volume's median is next to none: a solid's walls may leak a little.
@@ -43,10 +45,10 @@ impl Summary {
 }
 
 impl Element for Summary {
-    const BYTES: usize = 73;
+    const BYTES: usize = 97;
 
     fn to_bytes(self, bytes: &mut [u8]) {
-        let Summary { bias, .. } = self;
+        let Summary { bias, quarters, .. } = self;
         let numbers = [
             self.standard_error,
             self.worst_error,
@@ -57,11 +59,14 @@ impl Element for Summary {
             self.kept,
             bias.square,
             bias.noise,
+            quarters[0],
+            quarters[1],
+            quarters[2],
         ];
         for (bytes, number) in bytes.chunks_exact_mut(8).zip(numbers) {
             bytes.copy_from_slice(&number.to_le_bytes());
         }
-        bytes[72] = bias.by_probes.into();
+        bytes[96] = bias.by_probes.into();
     }
 
     fn from_bytes(bytes: &[u8]) -> Summary {
@@ -74,7 +79,8 @@ impl Element for Summary {
             unseen_error: number(4),
             clamped: number(5),
             kept: number(6),
-            bias: Bias { square: number(7), noise: number(8), by_probes: bytes[72] != 0 },
+            bias: Bias { square: number(7), noise: number(8), by_probes: bytes[96] != 0 },
+            quarters: [9, 10, 11].map(number),
         }
     }
 }
@@ -90,6 +96,7 @@ impl From<&NodeEstimate> for Summary {
             unseen_error: e.unseen_error,
             clamped: e.clamped,
             kept: e.sh[0].iter().sum::<f64>() * (4.0 * std::f64::consts::PI).sqrt(),
+            quarters: e.quarters,
         }
     }
 }

@@ -76,6 +76,7 @@ impl Part {
             missed: 0,
             missed_by_systematic: 0,
             clamped: 0.0,
+            quarters: None,
         };
         for node in 0..nodes.len() {
             let light = light(match &nodes {
@@ -104,6 +105,7 @@ impl Part {
         (statistics.worst_direction_error, statistics.sparse, statistics.packing) = (None, None, None);
         (statistics.systematic_error, statistics.seen) = (None, None);
         statistics.seen_places.clear();
+        statistics.quarters.clear();
         records
     }
 }

@@ -175,7 +175,22 @@ later {
     /// The worst places at which that was measured, up to 32 in the air and as many on surfaces: to show where the error is.
     #[serde(skip)]
     seen_places: Vec<SeenPlace>,
+    /// Errors after a quarter, a half, three quarters and all of the directions; empty where nothing tells.
+    quarters: Vec<QuarterRecord>,
 }
+}
+
+/// Error of E after a share of the bake's directions: medians over an eighth of the nodes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Encode, Decode)]
+pub struct QuarterRecord {
+    /// Of the directions of each node, 0..=1.
+    pub share: f64,
+    /// Standard error.
+    pub noise: f64,
+    /// With the systematic error, which more directions do not take away.
+    pub whole: f64,
+    /// What the bake takes with so many. `None` in files, unless times were asked for: the same inputs give the same bytes.
+    pub seconds: Option<StageSeconds>,
 }
 
 /// A held-out place in the box of a grid, and the error there: nine bytes.

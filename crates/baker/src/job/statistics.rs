@@ -1,8 +1,10 @@
 //! What came of a bake, in figures.
 
-use super::records::{ErrorSummary, ProbeRecord, SeenRecord, StandingRecord, StatisticsRecord, WallsRecord};
+use super::records::{
+    ErrorSummary, ProbeRecord, QuarterRecord, SeenRecord, StandingRecord, StatisticsRecord, WallsRecord,
+};
 use crate::Finding;
-use crate::bake::{Baked, Standing};
+use crate::bake::{Baked, Quarter, Standing};
 use crate::radiance::Distant;
 use crate::radiance::gdibl::Probe;
 
@@ -35,9 +37,17 @@ impl StatisticsRecord {
             },
             walls: baked.walls.as_ref().map(WallsRecord::from),
             systematic_error: errors(&baked.systematic_error),
+            quarters: quarters(baked),
             ..StatisticsRecord::default()
         }
     }
+}
+
+fn quarters(baked: &Baked) -> Vec<QuarterRecord> {
+    let all = baked.quarters.into_iter().flatten();
+    all.zip(1..)
+        .map(|(Quarter { noise, whole }, i)| QuarterRecord { share: f64::from(i) / 4.0, noise, whole, seconds: None })
+        .collect()
 }
 
 fn count(baked: &Baked, of: Standing) -> u64 {

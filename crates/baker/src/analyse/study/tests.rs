@@ -63,6 +63,7 @@ fn volume(light: &[RadianceSh]) -> Volume {
         missed: 0,
         missed_by_systematic: 0,
         clamped: 0.0,
+        quarters: None,
     };
     volume_of(&Nodes::Points(positions().into_iter().map(DVec3::from).collect()), &baked)
 }

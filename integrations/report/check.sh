@@ -20,3 +20,4 @@ else
   node build.mjs --check --keep-module
 fi
 CHROMIUM=$browser node check.mjs
+CHROMIUM=$browser node study.mjs

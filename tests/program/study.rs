@@ -105,6 +105,27 @@ fn the_advice_is_flags_that_bake_takes() {
 }
 
 #[test]
+fn a_stopped_study_goes_on_from_the_bakes_that_are_finished() {
+    let folder = Folder::new();
+    let quick = ["--reference-samples", "64", "--methods", "gdibl,path"];
+    study(&folder, &quick);
+    assert!(!folder.exists("out.measured"), "nothing is left beside the page");
+    let errors = |folder: &Folder| json(folder)["study"]["methods"][0]["points"][0]["error"].clone();
+    let whole = errors(&folder);
+    // A study that cannot write its page keeps what it measured; what is cut off at the end is measured again.
+    let stopped = Folder::new();
+    std::fs::create_dir(stopped.path("out.csv")).unwrap();
+    let bake = repository("assets/uffizi-box/uffizi-box.bake.toml").display().to_string();
+    let arguments = ["study", &bake, "-o", "out", "--counts", "2,2,2", "--budgets", "16,64", "--repeats", "2"];
+    assert_ne!(stopped.run(&[&arguments[..], &quick].concat()).code, 0);
+    std::fs::remove_dir(stopped.path("out.csv")).unwrap();
+    let bytes = stopped.read("out.measured");
+    stopped.write("out.measured", &bytes[..bytes.len() - 7]);
+    study(&stopped, &quick);
+    assert_eq!(errors(&stopped), whole);
+}
+
+#[test]
 fn same_seed_finds_the_same_errors() {
     let errors = |more: &[&str]| {
         let folder = Folder::new();
@@ -188,6 +209,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_read() {
         (&["--repeats", "1"], &["--repeats"]),
         (&["--budgets", "64,64"], &["ascending"]),
         (&["--budgets", "0,64"], &["expected 1 to"]),
+        (&["--budgets", "1"], &["--budgets 1", "does not know its noise", "64,256,1024"]),
         (&["--at", "0"], &["--at 0"]),
         (&["--samples", "64"], &["--samples", "--budgets"]),
         (&["--method", "path"], &["--method", "--methods"]),

@@ -223,7 +223,7 @@ fn folder() -> PathBuf {
 }
 
 /// Whether a setting was given for this very run.
-fn is_given(given: &[Given]) -> impl Fn(&Row) -> bool {
+pub(super) fn is_given(given: &[Given]) -> impl Fn(&Row) -> bool {
     |row| {
         let names: &[&str] = if row.name == "counts" { &["counts", "spacing"] } else { &[row.name] };
         given.iter().any(|given| given.section == row.section && names.contains(&given.name))

@@ -1,5 +1,6 @@
 //! `gdibl study`: error against run time.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
@@ -13,6 +14,7 @@ use gdibl_baker::pack::write_whole;
 use glam::DVec3;
 use serde::Serialize;
 
+use super::bake::is_given;
 use super::compare::{Kind, other_levels, read};
 use crate::captures::capture_missing;
 use crate::config::{Config, FileFlags, LightFlags, file_name, set_threads};
@@ -20,7 +22,9 @@ use crate::fault::Fault;
 use crate::flags::{OfBakes, SettingFlags};
 use crate::inputs::{memory_of, read_inputs};
 use crate::progress::{Clock, Progress};
+use crate::request::{Request, hex};
 use crate::session::{Outcome, Session, say};
+use crate::study::kept::Kept;
 use crate::study::methods::{self, Circumstances, LeftOut};
 use crate::study::report::{ReferenceReport, Report};
 use crate::study::runner::{Ladder, Runner};
@@ -105,9 +109,17 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         )));
     }
 
-    let mut runner = Runner { job: &job, cancel: &session.cancel, between: None };
+    let mut runner = Runner { job: &job, cancel: &session.cancel, between: None, kept: RefCell::new(Kept::nothing()) };
     let work = plan_work(&arguments, &runner, asked, given.as_ref())?;
     say(&format!("{places}; {}", work.text(&arguments)));
+    if Request::is_repeatable(&config) {
+        let key = key_of(&arguments, &config, &work)?;
+        runner.kept = RefCell::new(Kept::open(&with_ending(&stem, "measured"), &key)?);
+        match runner.kept.borrow().len() {
+            0 => {}
+            known => say(&format!("{known} bakes are known from a run of this study that was stopped")),
+        }
+    }
     let progress = Progress::new("directions", work.directions, session.shown(*quiet));
     let truths = given.as_ref().map_or(&[][..], |given| &given.truths);
     session.find(&other_levels("the study", &file_name(&config.level), truths));
@@ -148,10 +160,14 @@ pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {
         return Err(Fault::Interrupted);
     }
     let written = write_files(&report, &job.inputs.findings, &stem)?;
+    runner.kept.into_inner().remove();
     let written: Vec<String> = written.iter().map(|path| format!("  written    {}", path.display())).collect();
     let text = format!("{}\n\n{}", words::report(&report), written.join("\n"));
     Ok(Outcome::new(report, text))
 }
+
+/// A bake divides directions in so many, to know its noise.
+const LEAST_BUDGET: u64 = 4;
 
 /// What makes no sense is refused before anything is read; returns the methods.
 fn check_arguments(arguments: &Arguments) -> Result<Vec<methods::Method>, Fault> {
@@ -171,6 +187,12 @@ fn check_arguments(arguments: &Arguments) -> Result<Vec<methods::Method>, Fault>
         return Err(Fault::Usage(format!(
             "--budgets {budgets:?}, --reference-samples: expected 1 to {} directions per node",
             BakeSettings::MAX_SAMPLES
+        )));
+    }
+    if let Some(few) = budgets.iter().find(|budget| **budget < LEAST_BUDGET) {
+        return Err(Fault::Usage(format!(
+            "--budgets {few}: a bake with fewer than {LEAST_BUDGET} directions per node does not know its noise; give budgets that differ \
+             much, such as 64,256,1024"
         )));
     }
     if !budgets.is_sorted_by(|a, b| a < b) {
@@ -230,6 +252,21 @@ fn plan_work(
         between_samples: usual,
         directions: per_node.saturating_mul(runner.job.nodes().len() as u64),
     })
+}
+
+/// What bakes of a study depend on, beside their method, directions and seed; and what their times do.
+fn key_of(arguments: &Arguments, config: &Config, work: &Work) -> Result<String, Fault> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&Request::of(config, arguments.no_capture, is_given(&arguments.settings.given))?.key());
+    if let Some(reference) = &arguments.reference {
+        hasher.update(&std::fs::read(reference).map_err(|error| Fault::reading(reference, &error))?);
+        for set in &arguments.sets {
+            hasher.update(set.as_bytes());
+        }
+    }
+    hasher.update(&work.between_samples.to_le_bytes());
+    hasher.update(&rayon::current_num_threads().to_le_bytes());
+    Ok(hex(hasher.finalize().as_bytes()))
 }
 
 impl Work {

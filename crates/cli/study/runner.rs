@@ -1,19 +1,22 @@
 //! Runs the bakes of a study, one at a time, and holds the clock.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::sync::atomic::AtomicBool;
 
 use gdibl_baker::Control;
 use gdibl_baker::analyse::Truth;
 use gdibl_baker::analyse::study::{Capture, Cost, Measured, Repeat, Seen, measure};
 use gdibl_baker::capture::{CaptureSettings, capture};
+use gdibl_baker::job::records::Records;
 use gdibl_baker::job::records::SeenRecord;
 use gdibl_baker::job::{self, Inputs, Job, Settings, Stage, Watch, bytes_of_light, check_valid};
-use gdibl_baker::pack::volume_of;
+use gdibl_baker::pack::{PackSettings, Precision, pack};
 use gdibl_baker::radiance::path::Path;
 use gdibl_baker::sampling::Sampler;
 use gdibl_baker::seen::HeldOut;
+use gdibl_runtime::Volume;
 
+use super::kept::Kept;
 use super::methods::{Circumstances, Method};
 use crate::captures;
 use crate::fault::Fault;
@@ -32,6 +35,8 @@ pub struct Runner<'a> {
     pub cancel: &'a AtomicBool,
     /// Light between nodes, once it is known.
     pub between: Option<HeldOut>,
+    /// What is finished.
+    pub kept: RefCell<Kept>,
 }
 
 /// How often, with what, and from which seeds.
@@ -98,8 +103,12 @@ impl Runner<'_> {
         Ok(measured)
     }
 
-    /// One bake. All is built anew: what a function finds out on its way is part of what a bake takes.
+    /// One bake, unless it is known. All is built anew: what a function finds out on its way is part of what a bake takes.
     fn repeat(&self, method: Method, samples: u64, seed: u64, progress: &Progress) -> Result<Repeat, Fault> {
+        if let Some(repeat) = self.kept.borrow().get(&method.name(), samples, seed) {
+            progress.advance(self.job.nodes().len() as u64 * samples, 0);
+            return Ok(repeat);
+        }
         let mut settings: Settings = self.job.settings.clone();
         let quality = &mut settings.quality;
         (quality.samples, quality.seed) = (Some(samples), seed);
@@ -136,7 +145,12 @@ impl Runner<'_> {
         let bytes = bytes_of_light(nodes, &baked, &settings);
         let seen = self.between.as_ref();
         let seen = seen.and_then(|between| seen_of(&between.errors(nodes, &baked, settings.pack()).0));
-        Ok(Repeat { volume: volume_of(nodes, &baked), cost, seen, bytes })
+        let single = PackSettings { precision: Precision::F32, ..PackSettings::default() };
+        let packed = pack(nodes, &baked, Records::default(), single).bytes;
+        let volume = Volume::parse(&packed).expect("what was packed parses");
+        let repeat = Repeat { volume, cost, seen, bytes };
+        self.kept.borrow_mut().put(&method.name(), samples, seed, &repeat, &packed);
+        Ok(repeat)
     }
 
     /// What `gdibl capture` would take for these probes, from a small sample of it. `None` where there is no probe, or

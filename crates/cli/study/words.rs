@@ -41,6 +41,14 @@ pub fn verdict(report: &Report) -> Vec<String> {
     let study = &report.study;
     let mut lines = vec![advice(report)];
     lines.extend(trust(report));
+    lines.extend(study.reference_noise.filter(|noise| *noise > 0.5 * study.target).map(|noise| {
+        format!(
+            "the reference's own noise is {}: an error of {} is hardly told from it; make it with more --reference-samples, or give a \
+             better --reference",
+            percent(noise),
+            round_percent(study.target)
+        )
+    }));
     lines.extend(between_nodes(report));
     lines.push(format!("CPU time per node at {} noise, and the bias that is left then:", round_percent(study.target)));
     for method in study.methods.iter().filter(|method| !method.is_far || report.all_drawn) {

@@ -2,16 +2,14 @@
 //! places. At a node light is as right as its noise; between nodes, where an engine draws, it is not.
 //!
 //! Places are held out: no node stands there, in the air with normals of all directions, and on surfaces with their own. The true
-//! E of a place is summed straight over its hemisphere ([`irradiance_at`]). Great errors are rare, and few directions tell them: so most
-//! places have an eighth of a node's directions. The others have as many as a node, and tell what errors usually are; a quarter as
-//! many find their light to the bands that are stored, which tells what the other bands would add.
+//! E of a place is summed straight over its hemisphere ([`irradiance_at`]), by as many directions as a node takes. A quarter as many find
+//! its light to the bands that are stored, which tells what the other bands would add.
 //!
 //! The noise of the truth is taken out. With d the difference at a place, t the standard error of the truth there, and v that of
 //! the nodes' light, what is left is d √(s² / (s² + t²)), where s² is the square of what is to be expected of the volume's own error:
 //! s² = v² + b² + max(d² - 5 (v² + t² + b²), 0). b, relative to the light, is the same for all places: it makes the median of d² what it
 //! is, if errors are normal. A great difference stays, and of a small one the volume's share is left. The parts are root mean
-//! squares, so that their noise can be subtracted as it is: over all places, and what bands and distances from nodes do over
-//! those with as many directions as a node.
+//! squares: so their noise can be subtracted as it is.
 
 pub mod places;
 
@@ -32,14 +30,12 @@ use places::{in_the_air, on_surfaces};
 
 /// The worst places of either kind are kept: 576 bytes of a file. All of them would be a twentieth of a small one.
 const WORST: usize = 32;
-/// Places of either kind when nothing is said: a share of the nodes, within bounds. With 256 places at most an apartment was off by
-/// 233 % at the 95th percentile, and 92 % was said.
-const SHARE: usize = 4;
-const LEAST: usize = 32;
-const MOST: usize = 1024;
-/// Of them one in so many has as many directions as a node, but at least so many; the others have as many less directions.
-const PRECISE: usize = 8;
-const LEAST_PRECISE: usize = 64;
+/// Places of either kind when nothing is said: a share of the nodes, within bounds. With 256 at most the 95th percentile of an
+/// apartment's surfaces came from nine places: 92 % was said, and 233 % was. An eighth of the directions at most places, so
+/// that there are more of them, brought too much noise that does not show in its own spread: light that few directions meet.
+const SHARE: usize = 8;
+const LEAST: usize = 8;
+const MOST: usize = 512;
 /// Places are looked for so many times as often as they are wanted, with a few directions each: some lie in solids, or in the dark.
 /// Places that are dim, where errors are greatest, may look dark: these are looked at again, with more.
 const TRIES: u32 = 3;
@@ -76,7 +72,7 @@ struct Places {
     places: Vec<SurfacePlace>,
     /// E at each.
     truth: Vec<Gathered>,
-    /// The light of the first ones, those with as many directions as a node, as nodes have it.
+    /// The light there as nodes have it.
     baked: Baked,
 }
 
@@ -85,15 +81,12 @@ pub fn usual_count(nodes: usize) -> usize {
     (nodes / SHARE).clamp(LEAST, MOST)
 }
 
-/// The directions that a place takes on average, for one direction of a node that has so many, places being looked for.
+/// The directions that a place takes for one direction of a node that has so many, places being looked for.
 pub fn work_of_a_place(samples: u64) -> f64 {
-    let precise = 1.0 / PRECISE as f64;
-    precise * (1.0 + 1.0 / COEFFICIENTS as f64)
-        + (1.0 - precise) / PRECISE as f64
-        + f64::from(TRIES) * PILOT as f64 / samples.max(PILOT) as f64
+    1.0 + 1.0 / COEFFICIENTS as f64 + f64::from(TRIES) * PILOT as f64 / samples.max(PILOT) as f64
 }
 
-/// Samples up to `count` places in the air, and on surfaces, in the box of a grid, some by `samples` directions each. `None`: between
+/// Samples up to `count` places in the air, and on surfaces, in the box of a grid, by `samples` directions each. `None`: between
 /// nodes nothing is read, or no light reaches any place.
 pub fn hold_out(
     nodes: &Nodes,
@@ -134,14 +127,9 @@ pub fn hold_out(
         }
         let found = tried.into_iter().zip(is_lit).filter(|(_, is_lit)| *is_lit).map(|(place, _)| place);
         let places: Vec<SurfacePlace> = found.take(count).collect();
-        let precise = (places.len() / PRECISE).max(LEAST_PRECISE).min(places.len());
-        let gather = |places: &[SurfacePlace], samples: u64, seed: u64| {
-            let settings = GatherSettings { samples, seed, sampler: settings.sampler, guided: settings.importance };
-            irradiance_at(places, function, &settings, &counted)
-        };
-        let mut truth = gather(&places[..precise], samples, seed)?;
-        truth.extend(gather(&places[precise..], (samples / PRECISE as u64).max(1), seed + 1)?);
-        let baked = bake_at(&places[..precise], samples / COEFFICIENTS)?;
+        let gather = GatherSettings { samples, seed, sampler: settings.sampler, guided: settings.importance };
+        let truth = irradiance_at(&places, function, &gather, &counted)?;
+        let baked = bake_at(&places, samples / COEFFICIENTS)?;
         Ok(Places { places, truth, baked })
     };
     let air = kind(in_the_air(bounds, tries, seed))?;
@@ -208,8 +196,10 @@ impl Places {
 
     fn found(&self, around: &[Around], stored: &Stored) -> Vec<Found> {
         let Stored { frame, some, file, exact, floor, baked } = stored;
-        let precise = self.baked.len();
-        let here = (precise > 0).then(|| volume_of(&points_of(&self.places[..precise]), &self.baked));
+        if self.places.is_empty() {
+            return Vec::new();
+        }
+        let here = volume_of(&points_of(&self.places), &self.baked);
         let floor_here = floor_of(&self.baked);
         let found = |number: usize| {
             let SurfacePlace { position, normal } = self.places[number];
@@ -219,21 +209,17 @@ impl Places {
             let own = own.map(|node| some.binary_search(&node).expect("it is around a place") as u32);
             let [stored_light, as_baked] =
                 [file, exact].map(|volume| Vec3::from(volume.irradiance_of_nodes(&own, weights, normal.to_array())));
-            let to_bands = here.as_ref().filter(|_| number < precise).map(|here| {
-                let light = here.node_sh(number).truncate(baked.bands).convolve();
-                Vec3::from(light.evaluate(normal.to_array()))
-            });
+            let to_bands = here.node_sh(number).truncate(baked.bands).convolve();
+            let to_bands = Vec3::from(to_bands.evaluate(normal.to_array()));
             Found {
                 position,
                 light: size(expected),
                 difference: size(stored_light - expected),
                 noise_of_truth: size(standard_error.as_vec3()),
                 noise: noise_between(frame, baked, |node| error_of(baked, node, *floor), position),
-                to_bands: to_bands.map(|to_bands| ToBands {
-                    noise: error_of(&self.baked, number, floor_here),
-                    between: size(as_baked - to_bands),
-                    left_out: size(expected - to_bands),
-                }),
+                noise_here: error_of(&self.baked, number, floor_here),
+                between: size(as_baked - to_bands),
+                bands: size(expected - to_bands),
                 packing: size(stored_light - as_baked),
                 systematic: systematic_between(frame, baked, position),
             }
@@ -266,23 +252,16 @@ struct Found {
     light: f64,
     difference: f64,
     noise_of_truth: f64,
+    /// Standard error of the light at the place to the bands that are stored.
+    noise_here: f64,
     /// Standard error of the nodes' light there.
     noise: f64,
-    /// Where the place's light is known to the bands that are stored.
-    to_bands: Option<ToBands>,
+    /// Of the nodes' light against that at the place, to the bands that are stored.
+    between: f64,
+    bands: f64,
     packing: f64,
     /// Relative.
     systematic: f64,
-}
-
-/// The light at a place to the bands that are stored.
-struct ToBands {
-    /// Its standard error.
-    noise: f64,
-    /// Of the nodes' light against it.
-    between: f64,
-    /// What the other bands add.
-    left_out: f64,
 }
 
 impl Found {
@@ -305,10 +284,7 @@ fn set_of(all: &[Found]) -> Option<(SeenSet, PlacesSeen)> {
     let floor = FLOOR * median(lit.iter().map(|found| found.light));
     let mean = lit.iter().map(|found| found.light).sum::<f64>() / lit.len().max(1) as f64;
     let scale = |found: &Found| found.light.max(floor);
-    let precise: Vec<(&Found, &ToBands)> =
-        lit.iter().filter_map(|found| Some((*found, found.to_bands.as_ref()?))).collect();
-    let middle =
-        |square: &dyn Fn(&Found) -> f64| median(precise.iter().map(|(found, _)| square(found) / scale(found).powi(2)));
+    let middle = |square: &dyn Fn(&Found) -> f64| median(lit.iter().map(|found| square(found) / scale(found).powi(2)));
     let noise = middle(&|found| found.noise.powi(2) + found.noise_of_truth.powi(2));
     let usual = (middle(&|found| found.difference.powi(2)) / MEDIAN_SQUARE - noise).max(0.0);
     let error = |found: &Found| found.error(usual * scale(found).powi(2));
@@ -319,10 +295,6 @@ fn set_of(all: &[Found]) -> Option<(SeenSet, PlacesSeen)> {
         let sum: f64 = lit.iter().map(|found| square(found) / scale(found).powi(2)).sum();
         (sum / lit.len() as f64).max(0.0).sqrt()
     };
-    let part_to_bands = |square: &dyn Fn(&Found, &ToBands) -> f64| {
-        let sum: f64 = precise.iter().map(|(found, own)| square(found, own) / scale(found).powi(2)).sum();
-        (sum / precise.len().max(1) as f64).max(0.0).sqrt()
-    };
     let set = SeenSet {
         places: lit.len() as u64,
         error: SeenErrors::of(lit.iter().map(|found| relative(found)))?,
@@ -330,8 +302,8 @@ fn set_of(all: &[Found]) -> Option<(SeenSet, PlacesSeen)> {
         worst: worst.position.to_array(),
         parts: SeenParts {
             noise: part(&|found| found.noise.powi(2)),
-            between: part_to_bands(&|found, own| own.between.powi(2) - found.noise.powi(2) - own.noise.powi(2)),
-            bands: part_to_bands(&|found, own| own.left_out.powi(2) - found.noise_of_truth.powi(2) - own.noise.powi(2)),
+            between: part(&|found| found.between.powi(2) - found.noise.powi(2) - found.noise_here.powi(2)),
+            bands: part(&|found| found.bands.powi(2) - found.noise_of_truth.powi(2) - found.noise_here.powi(2)),
             packing: part(&|found| found.packing.powi(2)),
             systematic: part(&|found| (found.systematic * scale(found)).powi(2)),
         },
@@ -394,8 +366,10 @@ mod tests {
                 light: 1.0,
                 difference,
                 noise_of_truth,
+                noise_here: 0.0,
                 noise,
-                to_bands: (i % PRECISE as u32 == 0).then_some(ToBands { noise: 0.0, between: 0.0, left_out: 0.0 }),
+                between: 0.0,
+                bands: 0.0,
                 packing: 0.0,
                 systematic: 0.0,
             };

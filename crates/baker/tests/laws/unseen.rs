@@ -107,6 +107,8 @@ fn what_no_probe_sees_is_traced_where_materials_agree_with_probes() {
 fn exposure_of_probes_is_matched_before_paths_stand_in() {
     let scene = room_with_screen();
     let mut probes = captured(&scene);
+    // Many paths for each point: with few a gain of 1 fits by chance 5 % worse than the one that is found.
+    let settings = || GdiblSettings { directions: 1 << 23, ..settings() };
     let own = Gdibl::new(&scene, &probes, None, settings()).choose_unseen(Unseen::Auto, &nodes()).clone();
     probes.iter_mut().for_each(|probe| probe.exposure_stops = 5.0);
     let choice = Gdibl::new(&scene, &probes, None, settings()).choose_unseen(Unseen::Auto, &nodes()).clone();

@@ -5,9 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use gdibl_baker::job::{Inputs, Job, Made, Method, Row, Wanted, wanted_of};
 use gdibl_baker::pack::write_whole;
-use serde::Serialize;
 
-use super::baking::{PlanReport, assemble, bake, likely_seconds, plan_text, report_of, tell_made};
+use super::baking::{PlanReport, ShardReport, assemble, bake, likely_seconds, plan_text, report_of, tell_made};
 use super::several;
 use super::unchanged::{unchanged, unchanged_shard};
 use crate::cache::Cache;
@@ -83,17 +82,6 @@ impl Arguments {
             quiet,
         }
     }
-}
-
-/// What `--json` prints of a shard, or of what shards have in common.
-#[derive(Serialize)]
-pub struct ShardReport {
-    pub output: Option<String>,
-    pub shard: Option<String>,
-    pub wall_seconds: f64,
-    pub cpu_seconds: f64,
-    pub bytes: u64,
-    pub unchanged: bool,
 }
 
 pub fn run(arguments: Arguments, session: &Session) -> Result<Outcome, Fault> {

@@ -36,6 +36,17 @@ pub struct Report {
     pub statistics: StatisticsRecord,
 }
 
+/// What `--json` prints of a shard, or of what shards have in common.
+#[derive(Serialize)]
+pub struct ShardReport {
+    pub output: Option<String>,
+    pub shard: Option<String>,
+    pub wall_seconds: f64,
+    pub cpu_seconds: f64,
+    pub bytes: u64,
+    pub unchanged: bool,
+}
+
 /// What `--plan --json` prints.
 #[derive(Serialize)]
 pub struct PlanReport {

@@ -4,8 +4,7 @@ use gdibl_baker::job::records::{ErrorSummary, SettingsRecord, StatisticsRecord};
 use gdibl_baker::pack::Precision;
 use gdibl_runtime::format::{self, Limits, SectionEntry};
 
-use super::bake::ShardReport;
-use super::baking::{Report, seen_text};
+use super::baking::{Report, ShardReport, seen_text};
 use crate::config::Config;
 use crate::journal::{Shard, scan};
 use crate::request::{PRECISION, Request};

@@ -34,8 +34,6 @@ use std::f64::consts::PI;
 
 use glam::{Vec3, Vec4};
 
-use crate::angle::arctangent;
-
 pub use cell::Cell;
 pub use convert::{from_lat_long, to_lat_long};
 pub(crate) use grid::PixelGrid;
@@ -183,19 +181,7 @@ impl Panorama {
     /// (u, v) of a direction of any length, u and v in 0..=1 (u = 1 is the seam again). Total: a pole has u = 0.5,
     /// and so has the zero vector, with v = 0.5; a vector that is not finite counts as zero.
     pub fn uv(direction: Vec3) -> (f32, f32) {
-        let largest = direction.abs().max_element();
-        // A sum, for a maximum passes over what is no number.
-        let d = match direction.abs().element_sum() {
-            1e-15..=1e15 => direction,
-            // Scaled by the largest component, so that neither 1e-30 nor 1e30 leaves the range of f32.
-            _ if largest > 0.0 && direction.is_finite() => direction / largest,
-            _ => Vec3::ZERO,
-        };
-        let longitude = arctangent(d.x, d.z);
-        let latitude = arctangent(d.y, (d.x * d.x + d.z * d.z).sqrt());
-        let u = 0.5 - longitude * (0.5 * std::f32::consts::FRAC_1_PI);
-        let v = 0.5 - latitude * std::f32::consts::FRAC_1_PI;
-        (u.clamp(0.0, 1.0), v.clamp(0.0, 1.0))
+        cell::uv(direction)
     }
 
     /// The pixel that holds `direction`.

@@ -12,7 +12,8 @@ fn schema() -> jsonschema::Validator {
 fn inputs() -> Folder {
     let folder = Folder::new();
     Level::room([-2.0; 3], [2.0; 3]).write(&folder, "room.glb");
-    folder.constant("a.exr", [0.0; 3], [1.0; 3]);
+    // Not even: even light has no noise at all.
+    folder.panorama("a.exr", 16, Some([0.0; 3]), |d| [1.0 + d.y.max(0.0) as f32; 3]);
     folder.panorama("b.exr", 16, Some([0.5, 0.0, 0.0]), |d| [1.0 + d.x.max(0.0) as f32; 3]);
     folder.sky("sky.exr", [1.0; 3]);
     folder.write("places.csv", "0,0,0,0,1,0\n");

@@ -209,9 +209,9 @@ fn capture_lines(study: &Study) -> Vec<String> {
             "break-even: never; path takes less per node, even with the capture for nothing".into()
         }
         None => {
-            let comes = |name| study.methods.iter().find(|method| method.name == name).map(|m| m.at_noise.is_some());
-            let Some(false) = comes(GDIBL) else { return vec![cost] };
-            format!("break-even: not known; gdibl does not come to {} noise", round_percent(study.target))
+            let fails = |name: &&str| study.methods.iter().any(|own| own.name == *name && own.at_noise.is_none());
+            let Some(name) = [GDIBL, PATH].into_iter().find(fails) else { return vec![cost] };
+            format!("break-even: not known; {name} does not come to {} noise", round_percent(study.target))
         }
     };
     vec![cost, pays]

@@ -22,7 +22,7 @@ use super::surface_light::SurfaceLight;
 use super::unseen::{Agreement, Compared, Unseen, UnseenChoice, curve_of};
 use super::{Audit, FOUND_TEXEL, PathContext, Radiance, RadianceFunction, Seen, number_of_place};
 use crate::bake::pass::Pass;
-use crate::blocks::{Blocks, PassKind};
+use crate::blocks::{Blocks, Found, PassKind};
 use crate::sampling::{Sampler, Stream, cosine_hemisphere, streams, uniform_sphere};
 use crate::scene::{Role, Scene};
 use crate::trace::{Frame, Hit, Level, MAX_LAYERS, Scattered, Surfaces, Trees, counts_before, search_limit};
@@ -471,42 +471,47 @@ impl<'a> Gdibl<'a> {
         let (Some(effects), Some(environment)) = (&self.effects, &self.environment) else {
             return self.look_around(places);
         };
-        let look = || {
-            self.look_for_effects(places);
-            self.look_around(places)
-        };
         if blocks.is_none() {
-            return look();
+            self.look_for_effects(places);
+            return self.look_around(places);
         }
         let pass = Pass::of(blocks, PassKind::Shared);
         let mut looked = None;
         for block in 0.. {
             let find = || {
-                looked.get_or_insert_with(look);
-                Ok(effects.filled().into_iter().skip(block * TEXELS_TOGETHER).take(TEXELS_TOGETHER).collect())
+                let (beside, _) =
+                    looked.get_or_insert_with(|| (self.look_for_effects(places), self.look_around(places)));
+                let beside = if block == 0 { beside.clone() } else { Vec::new() };
+                let filled = effects.filled().into_iter().skip(block * TEXELS_TOGETHER).take(TEXELS_TOGETHER);
+                Ok((filled.collect(), beside))
             };
-            let found: Option<Vec<Filled>> = pass.block(block, |_| true, find).ok().flatten();
-            let found = found.expect("every run looks around, and nothing interrupts it");
-            effects.fill(environment, &found);
-            if found.len() < TEXELS_TOGETHER {
+            let found: Option<(Vec<Filled>, Vec<Found>)> = pass.block(block, |_| true, find).ok().flatten();
+            let (filled, beside) = found.expect("every run looks around, and nothing interrupts it");
+            effects.fill(environment, &filled);
+            // Not counted here, nor where another run finds it again.
+            pass.count(&beside);
+            if filled.len() < TEXELS_TOGETHER {
                 break;
             }
         }
-        looked.unwrap_or_else(|| self.look_around(places))
+        looked.map_or_else(|| self.look_around(places), |(_, around)| around)
     }
 
     /// Finds the effects of objects where many rays will ask for them: what nodes find on their way each shard would find again.
-    fn look_for_effects(&self, places: &[DVec3]) {
+    /// Returns what was found beside them.
+    fn look_for_effects(&self, places: &[DVec3]) -> Vec<Found> {
         let environment = self.environment.as_ref().expect("asked only with one");
         let looks = if places.is_empty() { 0 } else { self.settings.directions / DIRECTIONS_PER_LOOK };
         let stream = Stream::new(Sampler::Sobol, self.settings.seed, streams::AGREEMENT, 0);
-        (0..looks.min(MOST_LOOKS) as u32).into_par_iter().for_each(|number| {
+        let look = |number: u32| {
             let origin = self.frame.to_trace(places[number as usize % places.len()]);
             let direction = uniform_sphere(stream.point(number, 0));
-            if let Some(hit) = environment.shown(self.scene, origin, direction, f32::INFINITY) {
-                self.effect(&hit, Walk::default(), &mut PathContext::new(stream));
-            }
-        });
+            let hit = environment.shown(self.scene, origin, direction, f32::INFINITY)?;
+            let mut context = PathContext::new(stream);
+            self.effect(&hit, Walk::default(), &mut context);
+            Some(context.found)
+        };
+        (0..looks.min(MOST_LOOKS) as u32).into_par_iter().filter_map(look).flatten_iter().collect()
     }
 
     /// How many surface points rays from these places meet, and those of them that probes count at, with what they show.

@@ -382,7 +382,7 @@ mod tests {
     }
 
     /// More pages than there are slots.
-    const ROWS: usize = 3 * PAGE_ROWS << SLOT_BITS;
+    const ROWS: usize = (3 * PAGE_ROWS) << SLOT_BITS;
 
     fn value(row: usize, column: usize) -> f32 {
         (row * 7 + column) as f32

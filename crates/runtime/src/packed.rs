@@ -563,7 +563,7 @@ mod tests {
                 // Some nodes are dark.
                 let numbers_of = |node: usize, numbers: &mut [i16]| {
                     numbers.copy_from_slice(&all[node * count..][..count]);
-                    numbers[0] *= i16::from(node % 7 > 0);
+                    numbers[0] *= i16::from(!node.is_multiple_of(7));
                 };
                 let bytes = numbers_to_bytes(nodes, count, numbers_of);
                 let layout = bits::Layout { element_size: 2, planes: count };

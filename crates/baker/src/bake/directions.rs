@@ -174,7 +174,7 @@ mod tests {
         let lamp = Vec3::new(0.6, 0.0, 0.8);
         for direction in fibonacci_sphere(20_000) {
             let angle = direction.angle_between(lamp);
-            if angle < 0.05 || angle > 0.4 {
+            if !(0.05..=0.4).contains(&angle) {
                 map.add(direction, if angle < 0.05 { Vec3::splat(1e6) } else { Vec3::ONE }, 1.0);
             }
         }

@@ -94,3 +94,39 @@ impl Blocks for AllShared<'_> {
         self.0.scratch(bytes)
     }
 }
+
+/// Blocks, if there are any, that do not count rays of what is found on the way. For passes that whoever puts shards together makes
+/// itself: there it finds again what the nodes of other runs have found.
+pub(crate) struct OwnRays<'a>(pub Option<&'a dyn Blocks>);
+
+impl Blocks for OwnRays<'_> {
+    fn begin(&self, kind: PassKind) -> u32 {
+        self.0.map_or(0, |blocks| blocks.begin(kind))
+    }
+
+    fn is_own(&self, id: BlockId) -> bool {
+        self.0.is_none_or(|blocks| blocks.is_own(id))
+    }
+
+    fn known(&self, id: BlockId) -> Option<Vec<u8>> {
+        self.0?.known(id)
+    }
+
+    fn keep(&self, id: BlockId, bytes: &[u8]) {
+        if let Some(blocks) = self.0 {
+            blocks.keep(id, bytes);
+        }
+    }
+
+    fn count(&self, _: &[Found]) -> u64 {
+        0
+    }
+
+    fn end(&self, pass: u32) -> bool {
+        self.0.is_none_or(|blocks| blocks.end(pass))
+    }
+
+    fn scratch(&self, bytes: u64) -> Option<File> {
+        self.0?.scratch(bytes)
+    }
+}

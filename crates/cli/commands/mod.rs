@@ -198,7 +198,10 @@ pub fn quarter_lines(statistics: &StatisticsRecord) -> Vec<String> {
     let sets = statistics.seen.iter().flat_map(|seen| [seen.air, seen.surfaces]).flatten();
     let between = sets.map(|set| set.parts.between).fold(0.0, f64::max);
     if between > 2.0 * all.noise {
-        verdict += &format!("; light between nodes is off by {}: closer nodes (--spacing) help more", percent(between));
+        verdict += &format!(
+            "; light between nodes is off by {} (root mean square): closer nodes (--spacing) help more",
+            percent(between)
+        );
     }
     vec![format!("median node off by {way}"), verdict]
 }

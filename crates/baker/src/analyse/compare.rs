@@ -434,24 +434,9 @@ mod tests {
     fn baked(nodes: &Nodes, relative_error: f32) -> Baked {
         let count = nodes.len();
         let values = (0..count).flat_map(|i| light(nodes.position(i)).coefficients[..4].to_vec()).flatten();
-        Baked {
-            bands: 1,
-            sh: Table::held(12, values.collect()),
-            standing: vec![Standing::Open; count],
-            moved: Vec::new(),
-            walls: None,
-            coverage: vec![1.0; count],
-            relative_error: vec![relative_error; count],
-            systematic_error: vec![0.0; count],
-            worst_error: vec![relative_error; count],
-            coefficient_error: Vec::new(),
-            rays: 0,
-            samples: 0,
-            missed: 0,
-            missed_by_systematic: 0,
-            clamped: 0.0,
-            quarters: None,
-        }
+        let own = vec![relative_error; count];
+        let plain = Baked::of_rows(1, Table::held(12, values.collect()));
+        Baked { relative_error: own.clone(), worst_error: own, ..plain }
     }
 
     fn grid(counts: [u32; 3]) -> Nodes {

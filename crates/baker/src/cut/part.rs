@@ -60,33 +60,16 @@ impl Part {
             Some(bricks) => Nodes::Sparse(SparseGrid { grid, bricks }),
         };
         let count = 3 * sh::coefficient_count(bands);
-        let mut baked = Baked {
-            bands,
-            sh: Table::zeros(nodes.len(), count, None),
-            standing: Vec::new(),
-            moved: Vec::new(),
-            walls: None,
-            coverage: Vec::new(),
-            relative_error: Vec::new(),
-            systematic_error: Vec::new(),
-            worst_error: Vec::new(),
-            coefficient_error: Vec::new(),
-            rays: 0,
-            samples: 0,
-            missed: 0,
-            missed_by_systematic: 0,
-            clamped: 0.0,
-            quarters: None,
-        };
+        let mut baked = Baked::of_rows(bands, Table::zeros(nodes.len(), count, None));
         for node in 0..nodes.len() {
             let light = light(match &nodes {
                 Nodes::Sparse(sparse) => sparse.bricks.place_of(node),
                 _ => grid.place_of(node as u32),
             });
             baked.sh.set(node, &light.sh.coefficients.as_flattened()[..count]);
-            baked.standing.push(if light.is_valid { Standing::Open } else { Standing::Uncovered });
-            baked.coverage.push(light.coverage);
-            baked.relative_error.push(light.relative_error);
+            baked.standing[node] = if light.is_valid { Standing::Open } else { Standing::Uncovered };
+            baked.coverage[node] = light.coverage;
+            baked.relative_error[node] = light.relative_error;
         }
         Part { nodes, baked }
     }

@@ -76,28 +76,9 @@ pub fn truncate(baked: &mut Baked, bands: u32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bake::Standing;
 
     fn volume(nodes: &[Vec<f32>]) -> Baked {
-        let bands = 4;
-        Baked {
-            bands,
-            sh: Table::held(nodes[0].len(), nodes.concat()),
-            standing: vec![Standing::Open; nodes.len()],
-            moved: Vec::new(),
-            walls: None,
-            coverage: vec![1.0; nodes.len()],
-            relative_error: vec![0.0; nodes.len()],
-            systematic_error: vec![0.0; nodes.len()],
-            worst_error: vec![0.0; nodes.len()],
-            coefficient_error: Vec::new(),
-            rays: 0,
-            samples: 0,
-            missed: 0,
-            missed_by_systematic: 0,
-            clamped: 0.0,
-            quarters: None,
-        }
+        Baked::of_rows(4, Table::held(nodes[0].len(), nodes.concat()))
     }
 
     /// Radiance of each band's first coefficient, grey.

@@ -220,7 +220,7 @@ settings! {
         /// Sample each node until the relative error of its irradiance is at most this (0.01 is 1 %)
         "F" target_error: Option<f64> = None, is_share => "a positive share, 0.01 for 1 %";
         /// Places in the air, and as many on surfaces, where the error is measured as an engine sees it; 0: nowhere
-        /// [default: a 16th of the nodes, 8 to 256]
+        /// [default: an eighth of the nodes, 8 to 512]
         "N" seen_places: Option<u32> = None, |places| places.is_none_or(|n| n <= 1 << 20) => "0 to 1048576";
         /// Exit with 5 if the error as an engine sees it is over this share at more than 5 % of the places, in the air or on
         /// surfaces (0.05 is 5 %); the volume is written

@@ -15,14 +15,13 @@ pub mod places;
 
 use gdibl_runtime::Volume;
 use glam::{DVec3, Vec3};
-use std::fs::File;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::bake::{
     BakeSettings, Baked, GatherSettings, Gathered, Nodes, SparseGrid, SurfacePlace, bake, irradiance_at, irradiance_of,
     root_mean_square,
 };
-use crate::blocks::{self, BlockId, Blocks, PassKind};
+use crate::blocks::OwnRays;
 use crate::job::records::{SeenErrors, SeenParts, SeenPlace, SeenRecord, SeenSet};
 use crate::pack::{PackSettings, Precision, frame_of, part_as_read, volume_of};
 use crate::radiance::RadianceFunction;
@@ -139,42 +138,6 @@ pub fn hold_out(
     let surfaces = kind(on_surfaces(scene, bounds, lift, tries, seed))?;
     let is_dark = air.places.is_empty() && surfaces.places.is_empty();
     Ok((!is_dark).then_some(HeldOut { air, surfaces, rays: rays.into_inner() }))
-}
-
-/// Does not count the rays of what is found on the way: who puts shards together finds here what the nodes of another run have found
-/// before.
-struct OwnRays<'a>(Option<&'a dyn Blocks>);
-
-impl Blocks for OwnRays<'_> {
-    fn begin(&self, kind: PassKind) -> u32 {
-        self.0.map_or(0, |blocks| blocks.begin(kind))
-    }
-
-    fn is_own(&self, id: BlockId) -> bool {
-        self.0.is_none_or(|blocks| blocks.is_own(id))
-    }
-
-    fn known(&self, id: BlockId) -> Option<Vec<u8>> {
-        self.0?.known(id)
-    }
-
-    fn keep(&self, id: BlockId, bytes: &[u8]) {
-        if let Some(blocks) = self.0 {
-            blocks.keep(id, bytes);
-        }
-    }
-
-    fn count(&self, _: &[blocks::Found]) -> u64 {
-        0
-    }
-
-    fn end(&self, pass: u32) -> bool {
-        self.0.is_none_or(|blocks| blocks.end(pass))
-    }
-
-    fn scratch(&self, bytes: u64) -> Option<File> {
-        self.0?.scratch(bytes)
-    }
 }
 
 impl HeldOut {

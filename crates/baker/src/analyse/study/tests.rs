@@ -1,6 +1,6 @@
 use super::*;
 use crate::analyse::{CompareSettings, Truth, TruthLight, TruthNoise, compare, radiance_sh};
-use crate::bake::{Baked, Nodes, Standing};
+use crate::bake::{Baked, Nodes};
 use crate::pack::volume_of;
 use crate::rows::Table;
 use crate::sampling::{Sampler, Stream};
@@ -47,24 +47,8 @@ fn positions() -> Vec<[f64; 3]> {
 }
 
 fn volume(light: &[RadianceSh]) -> Volume {
-    let baked = Baked {
-        bands: 2,
-        sh: Table::held(27, light.iter().flat_map(|l| l.coefficients[..9].to_vec()).flatten().collect()),
-        standing: vec![Standing::Open; PLACES],
-        moved: Vec::new(),
-        walls: None,
-        coverage: vec![1.0; PLACES],
-        relative_error: vec![0.01; PLACES],
-        systematic_error: Vec::new(),
-        worst_error: Vec::new(),
-        coefficient_error: Vec::new(),
-        rays: 0,
-        samples: 0,
-        missed: 0,
-        missed_by_systematic: 0,
-        clamped: 0.0,
-        quarters: None,
-    };
+    let sh = light.iter().flat_map(|l| l.coefficients[..9].to_vec()).flatten().collect();
+    let baked = Baked { relative_error: vec![0.01; PLACES], ..Baked::of_rows(2, Table::held(27, sh)) };
     volume_of(&Nodes::Points(positions().into_iter().map(DVec3::from).collect()), &baked)
 }
 

@@ -121,6 +121,11 @@ fn a_stopped_study_goes_on_from_the_bakes_that_are_finished() {
     std::fs::remove_dir(stopped.path("out.csv")).unwrap();
     let bytes = stopped.read("out.measured");
     stopped.write("out.measured", &bytes[..bytes.len() - 7]);
+    // Other numbers in the file are another study.
+    let others = Folder::new();
+    others.write("out.measured", &bytes);
+    let run = others.run(&[&arguments[..], &quick, &["--precision", "f32"]].concat());
+    assert!(run.code == 0 && !run.err.contains("are known"), "{}", run.err);
     study(&stopped, &quick);
     assert_eq!(errors(&stopped), whole);
 }

@@ -258,6 +258,8 @@ fn plan_work(
 fn key_of(arguments: &Arguments, config: &Config, work: &Work) -> Result<String, Fault> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&Request::of(config, arguments.no_capture, is_given(&arguments.settings.given))?.key());
+    // Light between nodes and bytes depend on it.
+    hasher.update(config.settings.quality.precision.to_string().as_bytes());
     if let Some(reference) = &arguments.reference {
         hasher.update(&std::fs::read(reference).map_err(|error| Fault::reading(reference, &error))?);
         for set in &arguments.sets {
